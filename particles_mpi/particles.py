@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from math import prod
 from typing import Any
@@ -56,8 +57,6 @@ FIELDS = {
     "rate": Column(vector=True, output=False),  # dv/dt at the start of a `taylor` step
 }
 RUN_MADE = tuple(name for name, column in FIELDS.items() if not column.output)  # fields that a run fills by itself
-# What these names say is something else in files of frames, and for those who read them; so is any that ends in FULL.
-OF_FRAMES, FULL = ("Points", "index", "time", "step", "count", "fields", "speed", "energy", "axis"), "_full"
 BUILT_IN = tuple(FIELDS)  # those of the program; effects from outside bring more
 USER = Column("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
 # Types of columns that viewers, too, can read: VTK has no others.
@@ -68,6 +67,11 @@ MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag", "spin", "m
 
 
 OWN = {"dimension", "arrays", "version", "edition"}  # attributes of `Particles` that are no fields
+# Names that say something else in a table of a scene or of the start, in a view of the state, or in files of frames and for those
+# who read them; so does any that begins with "_", or ends in FULL.
+TAKEN = OWN | {"count", "time", "step", "index", "fields", "speed", "energy", "axis", "spinning", "Points"}
+TAKEN |= {f"{v}{axis}" for v in ("", "v") for axis in "xyz"}
+FULL = "_full"  # after the name of a vector of more than three components, in files of frames
 
 
 class Particles:
@@ -162,10 +166,9 @@ class Particles:
 def add_column(name: str, column: Column) -> None:
     """Enter a column that an effect brings into the table. ValueError if another one has the name, or it holds no numbers."""
     known = FIELDS.get(name, column)
-    if not name.isidentifier() or hasattr(Particles, name) or (known != column and name in BUILT_IN):
+    taken = name in TAKEN or name.startswith("_") or name.endswith(FULL) or hasattr(Particles, name)
+    if taken or not name.isidentifier() or (known != column and name in BUILT_IN):
         raise ValueError(f"column {name!r}: the name is taken, or is no identifier")
-    if column.output and (name in OF_FRAMES or name.endswith(FULL)):
-        raise ValueError(f"column {name!r}: frames have something else of such a name: use another one")
     if known != column:
         raise ValueError(
             f"column {name!r}: known otherwise, from another effect or an earlier version of this file: use another name, or"
@@ -173,7 +176,19 @@ def add_column(name: str, column: Column) -> None:
         )
     if str(np.dtype(column.dtype)) not in IN_FILES:
         raise ValueError(f"column {name!r}: {column.dtype} is none of the types that files of frames have: {', '.join(IN_FILES)}")
+    if not is_default(column):
+        raise ValueError(f"column {name!r}: its default {column.default!r} is no {column.dtype} of at least {column.least:g}")
     FIELDS[name] = column
+
+
+def is_default(column: Column) -> bool:
+    """Is the default of a column a number of its type, and not below its least?"""
+    value: Any = column.default
+    with suppress(TypeError, ValueError, OverflowError):
+        stored = np.array(value, column.dtype)
+        whole = stored.dtype.kind == "f" or np.array_equal(stored, value)
+        return not isinstance(value, str) and bool(whole and np.all(np.greater_equal(value, column.least)))
+    return False
 
 
 def field(name: str) -> Column:
@@ -229,6 +244,15 @@ def part_of(p: Particles, rows: slice) -> Particles:
     if rows == slice(0, len(p)):
         return p
     return Particles(p.dimension, {name: array[rows] for name, array in p.arrays.items()})
+
+
+def to_read(p: Particles) -> Particles:
+    """The same rows, in the same memory, of which what the program has by itself can only be read."""
+    given = Particles(p.dimension, {name: array[:] for name, array in p.arrays.items()})
+    for name in given.arrays.keys() & FIELDS.keys() & set(BUILT_IN):
+        given.arrays[name].flags.writeable = False
+    given.version, given.edition = p.version, p.edition
+    return given
 
 
 def rows_of(arrays: dict[str, Array], rows: Array) -> dict[str, Array]:

@@ -17,7 +17,7 @@ from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, inte
 from particles_mpi.integrators.many_steps import ManySteps
 from particles_mpi.kernels.validity import find_invalid
 from particles_mpi.measure.watchdog import Watchdog
-from particles_mpi.parallel.agreement import describe_unexpected, same_on_all
+from particles_mpi.parallel.agreement import describe_unexpected, raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import id_range
 from particles_mpi.parallel.signals import HeldInterrupt
@@ -252,10 +252,15 @@ class State:
         self.take_changes()
         scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
         self.require_masses(scene, name, key)
+        outside = any(of.file for of in scene.effects.values())
+        if outside:
+            with raising_together(self.ranks):  # what cannot be made or bound leaves all as it is
+                ActiveEffects(scene).bind(self.context)
         options.effect_class().option_changed(self.rows, self.scene.effects[name], options)
         self.particles.show()
         self.scene = scene
-        if issubclass(options.effect_class(), Force) and options.active and key != "active":  # nothing else depends on it
+        # An effect of a file may have read the option, too
+        if issubclass(options.effect_class(), Force) and not outside and options.active and key != "active":
             force = built(name, self.scene.effects[name], self.scene)
             force.bind(self.context)
             self.accelerations.replace(name, force)

@@ -7,10 +7,11 @@ next step, and taken over if a bit differs; a scene whose particles nobody looks
 import weakref
 import zlib
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from particles_mpi.errors import SceneError, StateError
 from particles_mpi.particles import Array, Particles, as_shown, moment_of_sphere, same_bits
@@ -156,6 +157,17 @@ def read_only(view: Array) -> Array:
     return view
 
 
+def frozen(value: Any) -> Any:
+    """An option as it is shown: what is set in a part of it would change nothing, and cannot be."""
+    if isinstance(value, list):
+        return tuple(map(frozen, value))
+    if isinstance(value, dict):
+        return MappingProxyType({key: frozen(inner) for key, inner in value.items()})
+    if isinstance(value, BaseModel):
+        return value.model_copy(update={key: frozen(inner) for key, inner in value})
+    return value
+
+
 class RunningEffect:
     """`sim.effects["uniform_gravity"].acceleration = [0, 0, -1]`, `sim.effects["walls"].active = False`.
 
@@ -174,8 +186,7 @@ class RunningEffect:
     def __getattr__(self, key: str) -> Any:
         if key.startswith("_") or key not in type(self._options).model_fields:
             raise AttributeError(f"effects.{self._name}: no option {key!r}")
-        value = getattr(self._options, key)
-        return tuple(value) if isinstance(value, list) else value
+        return frozen(getattr(self._options, key))
 
     def __setattr__(self, key: str, value: Any) -> None:
         getattr(self, key)

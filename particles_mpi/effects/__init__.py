@@ -14,13 +14,15 @@ table and checks them. `Effect` derives from one of these kinds, which say when 
 - `Event`: `act` acts on positions and velocities at the end of the drift of each step.
 
 All three change arrays in place. `add` and `advance` return nothing, `act` the number of particles that it has changed. What
-they do to velocities of fixed particles is taken back; `fixed` holds 0 or 1 there, so the mask of rows is `fixed != 0`. A file
-that was edited is read anew by the next scene; simulations that there are go on with what it was.
+they do to velocities of fixed particles is taken back; `fixed` is 0 or 1 there, so the mask of rows is `fixed != 0`. A force can
+only read the fields of the program. Flows and events need `leapfrog` or `taylor`. A file that was edited is read anew by the
+next scene; simulations that there are go on with what it was.
 
 What an effect needs stands in `needs`: a column of its own per particle (a charge, say) is then a key of every
 `[[particles]]` table, and is written to frames and checkpoints. An effect that no scene names is never imported.
 `kernel` compiles a function with a loop over rows. Decide by data and ids of particles, never by the order of rows: results
-must have the same bits on any number of ranks. Each rank calls the methods for its own rows, of which there may be none.
+must have the same bits on any number of ranks. So write products of vectors out, or take sums along an axis: `positions @ matrix`
+has other bits for one row than for many. Each rank calls the methods for its own rows, of which there may be none.
 An `Effect` is made several times, before a run, too: what takes long, as to read a table, is for `bind`, which is called when a
 simulation begins. Keep nothing in the object from one step to the next, for a copy, and a run that is gone on with, make it anew:
 what must last belongs into a column. An effect is not told the time; a script may change an option between two steps

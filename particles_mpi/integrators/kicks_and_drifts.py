@@ -13,9 +13,9 @@ from particles_mpi.integrators.gauss_radau import TOLERANCE, Adaptive
 from particles_mpi.kernels.fingerprint import places_of
 from particles_mpi.kernels.motion import kick, kick_with_drag, press, release
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Array, Particles, to_read
 from particles_mpi.scene.active import ActiveEffects
-from particles_mpi.scene.effect import Force, call_in_place
+from particles_mpi.scene.effect import Force, asked, call_in_place
 from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
 
@@ -40,7 +40,9 @@ def integrator_of(
     """
     name = scene.time.integrator
     if name == "adaptive":
-        return Adaptive(ranks, scene.time.tolerance or TOLERANCE, kick.forces, kick.timers)
+        outside = any(scene.periodic) and any(options.file for options in scene.effects.values())
+        box = (*scene.corners, scene.periodic_length) if outside else None
+        return Adaptive(ranks, scene.time.tolerance or TOLERANCE, kick.forces, kick.timers, box)
     return Taylor(kick) if name == "taylor" else Composition(kick, persistent, closing, *COMPOSITIONS[name])
 
 
@@ -61,6 +63,7 @@ class Accelerations:
     def look_at_forces(self) -> None:
         """What follows from the forces as they are now."""
         self.place_dependent = any(force.place_dependent for force in self.forces.values())
+        self.outside = {name: not type(force).__module__.startswith("particles_mpi.") for name, force in self.forces.items()}
         self.collective = any(force.collective for force in self.forces.values())
         self.g[:] = sum((force.g for force in self.forces.values() if force.g is not None), np.zeros_like(self.g))
 
@@ -83,7 +86,7 @@ class Accelerations:
         a = np.zeros_like(p.velocity)
         for name, force in self.forces.items():
             before = self.ranks.exchanges
-            call_in_place(name, force.add, p, a)
+            call_in_place(name, force.add, to_read(p) if self.outside[name] else p, a)
             if not force.collective and self.ranks.exchanges > before:  # a rank on which nobody moved would not take part
                 raise StoppedError(
                     f"effects.{name}: its `add` exchanges messages between ranks: its class needs collective = True"
@@ -97,8 +100,17 @@ class Accelerations:
         """Potential energies (n,) by force, of those that have one. Collective."""
         found = {}
         for name, force in self.forces.items():
-            energy = force.potential(p)
-            if energy is not None:
+            if type(force).potential is Force.potential:
+                continue
+            energy = asked(name, force.potential, to_read(p) if self.outside[name] else p)
+            given = self.ranks.any(energy is not None) if self.outside[name] else energy is not None
+            if given:
+                energy = np.zeros(0) if energy is None and not len(p) else energy  # a rank without rows has nothing to say
+                if np.shape(energy) != (len(p),) or np.asarray(energy).dtype.kind not in "fiub":
+                    what = f"{type(energy).__name__} of shape {np.shape(energy)}"
+                    raise StoppedError(
+                        f"effects.{name}: its `potential` returned {what}, and not a number for each of {len(p)} rows"
+                    )
                 counts = p.fixed == 0 if force.of_movable else (p.fixed == 0) | np.isfinite(energy)
                 found[name] = np.where(counts, energy, 0.0)
         return found
@@ -141,7 +153,7 @@ class Kick:
             if self.presses:
                 release(particles.velocity, a, *contacts, self.factors_of(particles, h)[1])
             if self.flows:
-                particles.velocity[particles.fixed != 0] = 0.0
+                particles.hold_fixed()
         return a
 
     def force_and_losses(self, particles: Particles, a: Array | None, h: float, coast: float) -> None:
@@ -173,7 +185,12 @@ class Kick:
         """dv/dt (n, d) by the other flows at the present velocities, or None without any."""
         if not self.flows:
             return None
-        total = sum((flow.rate(particles) for flow in self.flows.values()), np.zeros_like(particles.velocity))
+        total = np.zeros_like(particles.velocity)
+        for name, flow in self.flows.items():
+            rate = asked(name, flow.rate, particles)
+            if np.shape(rate) != total.shape:
+                raise StoppedError(f"effects.{name}: its `rate` returned shape {np.shape(rate)}, and not {total.shape}")
+            total += rate
         total[particles.fixed != 0] = 0.0
         return total
 

@@ -11,10 +11,13 @@ of numba: other versions than those that it was written for go on as they do.
 """
 
 import fcntl
+import inspect
 import sys
 from contextlib import suppress
+from hashlib import sha256
 from itertools import count
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -31,6 +34,8 @@ library_class: Any = codegen.JITCodeLibrary
 cache_class: Any = caching.Cache
 files_class: Any = caching.IndexDataCacheFile
 import_environment: Any = environment._rebuild_env
+known_index_key: Any = cache_class._index_key
+PACKAGE = str(Path(__file__).parents[1])
 
 
 class Library(library_class):  # type: ignore[misc]
@@ -110,6 +115,35 @@ def save_alone(files: Any, key: Any, data: Any) -> None:
             files._save_index(known | {key: name})
 
 
+def index_key(cache: Any, signature: Any, codegen: Any) -> Any:
+    """By which a kernel is found in the cache: one from a user's file also by what it uses of other files.
+
+    Numba compares the file of the kernel itself only: a function, or a number, that it imports may have changed.
+    """
+    key, function = known_index_key(cache, signature, codegen), cache._py_func
+    if function.__code__.co_filename.startswith(PACKAGE):  # edited sources of the program are set up anew
+        return key
+    return *key, sha256(repr(used_by(function, set())).encode()).hexdigest()
+
+
+def used_by(function: Any, seen: set[int]) -> list[Any]:
+    """The values from outside of a function with which it was compiled; of kernels among them the code, and what they use."""
+    seen.add(id(function))
+    variables, used = inspect.getclosurevars(function), list[Any]()
+    for name, value in sorted({**variables.globals, **variables.nonlocals}.items()):
+        inner = getattr(value, "py_func", None)
+        if inner is not None and id(inner) not in seen:
+            code = inner.__code__
+            used += [name, code.co_code, [c for c in code.co_consts if not hasattr(c, "co_code")], used_by(inner, seen)]
+        elif isinstance(value, ModuleType) and getattr(value, "__file__", None):  # a number of it is used by its name there
+            used += [name, Path(value.__file__ or "").read_bytes()]
+        elif isinstance(value, int | float | complex | str | tuple):
+            used += [name, value]
+        elif hasattr(value, "tobytes"):
+            used += [name, value.tobytes()]
+    return used
+
+
 def load_and_keep_kernels() -> None:
     """Let numba load and save kernels by the functions of this module, if its version is known."""
     if version_info[:2] in KNOWN:
@@ -118,3 +152,4 @@ def load_and_keep_kernels() -> None:
         environment_of.__module__, environment_of.__qualname__ = import_environment.__module__, import_environment.__qualname__
         environment._rebuild_env = environment_of  # under the name that kept kernels have it by
         files_class.save = save_alone
+        cache_class._index_key = index_key

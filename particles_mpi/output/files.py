@@ -13,7 +13,7 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.output.replacing import replace_text
 from particles_mpi.parallel.agreement import await_all, describe_unexpected, raise_first
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import FIELDS, Array
+from particles_mpi.particles import FIELDS, FULL, Array
 
 MPI_IO_ERROR = re.compile(r"error in \(?p?\)?\(?(?:write|read)\(?v?\)?: *(.+)")
 FILE_PATIENCE = 10.0  # seconds that ranks wait for one another in parallel HDF5 and MPI-IO, after one of them has failed
@@ -179,7 +179,7 @@ def frame_arrays(arrays: dict[str, Array], dimension: int) -> dict[str, Array]:
             columns[shown] = np.zeros((len(values), 3))
             columns[shown][:, :dimension] = whole[:, :3]
             if dimension > 3:
-                columns[name if name == "position" else f"{name}_full"] = whole
+                columns[name if name == "position" else name + FULL] = whole
     return columns
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from particles_mpi.errors import SceneError
 from particles_mpi.output.read_frames import FrameReader
-from particles_mpi.particles import BUILT_IN, Array
+from particles_mpi.particles import BUILT_IN, FULL, Array
 from particles_mpi.results.frame import Frame
 
 ROTATION = "spin"  # the field with a component for each plane of two axes
@@ -58,7 +58,7 @@ class Run:
             there = f"frames 0 to {count - 1}" if count else "no frame yet"
             raise IndexError(f"{self.folder}: no frame {k}: the run has {there}")
         index, k = self.frames.index(), k % count
-        fields = ("position", *(name for name in index.fields if name != "position" and not name.endswith("_full")))
+        fields = ("position", *(name for name in index.fields if name != "position" and not name.endswith(FULL)))
         place = float(index.times[k]), int(index.steps[k]), int(index.counts[k])
         return Frame(k, *place, fields, partial(self._column, k))
 
@@ -69,7 +69,7 @@ class Run:
         the third of three components. An orientation in the plane is an angle, (N,).
         """
         stored = self.frames.index().fields
-        whole = name if name == "position" else f"{name}_full"
+        whole = name if name == "position" else name + FULL
         shown = "Points" if name == "position" else name
         values = self.frames.column(whole if whole in stored else shown, k)
         if values.ndim == 1 or self.dimension > 2:

@@ -35,8 +35,8 @@ class ActiveEffects:
 
     def bind(self, context: kinds.Context) -> None:
         """Tell all effects of the ranks and ids there are. Collective."""
-        for effect in self.all.values():
-            effect.bind(context)
+        for name, effect in self.all.items():
+            kinds.asked(name, effect.bind, context)
 
     def names(self, *of: type[kinds.Effect]) -> list[str]:
         """Names of the effects of these kinds."""

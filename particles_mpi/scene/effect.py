@@ -1,7 +1,9 @@
 """The kinds of effect. How to write one stands in `effects/__init__.py`; `effect_files` loads it."""
 
 import sys
+import traceback
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
@@ -52,10 +54,21 @@ def faults_in(name: str, options: EffectOptions, scene: Any) -> list[str]:
         raise SceneError(f"effects.{name}: its `faults` failed: {type(error).__name__}: {one_line(error)}") from error
 
 
+def taken_in(effect: Any, dimension: int) -> str | None:
+    """An attribute that an effect of a user's has set, though it is a method of its kind, or a `g` that is no acceleration."""
+    for key, value in vars(effect).items():
+        if callable(getattr(type(effect), key, None)) or (key == "g" and value is not None and np.shape(value) != (dimension,)):
+            return key
+    return None
+
+
 def built(name: str, options: EffectOptions, scene: Any) -> Any:
     """The effect of that name with its options. SceneError if it cannot be made, as one of a user's own may fail to be."""
     try:
-        return options.effect_class()(options, scene)
+        made = options.effect_class()(options, scene)
+        if options.file and (key := taken_in(made, scene.dimension)):
+            raise SceneError(f"effects.{name}.file: self.{key} means something else to the program: use another name")
+        return made
     except SceneError:
         raise
     except (Exception, SystemExit) as error:
@@ -97,6 +110,7 @@ class Effect:
 
     role: ClassVar[str]
     formula: ClassVar[str]
+    possible: ClassVar[tuple[str, ...]] = ANY  # integrators that can compute an effect of this kind, whatever it `needs`
     needs: ClassVar[Needs] = Needs()
 
     def __init__(self, options: Any, scene: Any):
@@ -107,6 +121,9 @@ class Effect:
         columns: Any = cls.needs.columns
         if not (isinstance(columns, Mapping) and all(isinstance(column, Column) for column in columns.values())):
             raise ValueError('its needs.columns must be a table of columns, as {"charge": Column()}')
+        if unknown := [name for name in cls.needs.integrators if name not in ANY]:
+            raise ValueError(f"its needs.integrators: there is no {unknown[0]!r}")
+        cls.needs = cls.needs._replace(integrators=tuple(name for name in cls.needs.integrators if name in cls.possible))
         for name, column in columns.items():
             add_column(name, column)
 
@@ -151,7 +168,7 @@ class VelocityFlow(Effect):
     """
 
     role = "velocity"
-    needs = Needs(integrators=FORWARD)
+    possible = FORWARD
 
     def advance(self, particles: Particles, h: float) -> None:
         """Velocities after a time h with nothing else acting, in place."""
@@ -166,7 +183,7 @@ class Event(Effect):
     """Acts at the end of the drift of each step, on each particle by itself."""
 
     role = "event"
-    needs = Needs(integrators=FORWARD)
+    possible = FORWARD
 
     def act(self, particles: Particles, h: float) -> int:
         """Change rows in place after a drift over h; returns how many particles of this rank were changed."""
@@ -235,9 +252,23 @@ class RollingResistance(Effect):
     resistance: float
 
 
+def asked(name: str, method: Callable[..., Any], *arguments: Any) -> Any:
+    """What a method of an effect returns. StoppedError, which names the effect, file and line, where it fails."""
+    try:
+        return method(*arguments)
+    except (StoppedError, SceneError, MemoryError):
+        raise
+    except Exception as error:
+        own = sys.modules[method.__module__].__file__ or ""
+        calls = [call for call in traceback.extract_tb(error.__traceback__) if call.filename == own]
+        where = f" (at {Path(own).name}:{calls[-1].lineno} {calls[-1].name})" if calls else ""
+        said = f"{type(error).__name__}: {one_line(error)}{where}"
+        raise StoppedError(f"effects.{name}: its `{method.__name__}` failed: {said}") from error
+
+
 def call_in_place(name: str, method: Callable[..., Any], *arguments: Any) -> None:
     """Call a method of an effect that changes arrays in place. StoppedError if it returns something, which would be lost."""
-    if method(*arguments) is not None:
+    if asked(name, method, *arguments) is not None:
         raise StoppedError(f"effects.{name}: its `{method.__name__}` must change the arrays that it is given, and return nothing")
 
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError, ValidationInfo
 
 from particles_mpi.errors import one_line
 from particles_mpi.scene.effect import EffectOptions, Event, Force, VelocityFlow
-from particles_mpi.scene.model import faults_of, key_of, suggestion
+from particles_mpi.scene.model import faults_of, key_of, python_values, suggestion
 
 PACKAGE = "particles_mpi.effects"
 METHODS = {Force: "add", VelocityFlow: "advance", Event: "act"}  # what a user's effect must have
@@ -65,6 +65,35 @@ def load_effect(name: str, file: Path | None) -> ModuleType:
     return module
 
 
+def require_same_again(options: Any) -> None:
+    """ValueError for options that a checkpoint, which holds plain numbers, text, lists and tables, would not give back."""
+    plain = plain_options(options)
+    try:
+        again = type(options).model_validate(plain)
+    except ValidationError as error:
+        keys = ", ".join(key_of(item["loc"]) for item in error.errors())
+        raise ValueError(
+            f"option {keys}: {error.errors()[0]['msg']}, when read from a checkpoint: use numbers, text or lists"
+        ) from None
+    other = [key for key in type(options).model_fields if not same_value(getattr(again, key), getattr(options, key))]
+    if other:
+        raise ValueError(f"option {other[0]}: is another one when read again from a checkpoint: convert it in Effect.__init__")
+
+
+def same_value(one: Any, other: Any) -> bool:
+    """Are two values of an option the same, whether a list or an array?"""
+    return bool(python_values(one) == python_values(other))
+
+
+def plain_options(options: Any) -> dict[str, Any]:
+    """Options as plain numbers, text, lists and tables; of those that are None only what would not be without being given."""
+    plain = options.model_dump(mode="json", warnings=False, fallback=python_values)
+    fields = type(options).model_fields
+    return {
+        key: value for key, value in plain.items() if value is not None or key not in fields or fields[key].default is not None
+    }
+
+
 def validated_effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
     """Validate each `[effects.NAME]` by the Options of its file; an effect that is not named is not imported."""
     if not isinstance(value, dict):
@@ -84,6 +113,8 @@ def validated_effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
         try:
             options = load_effect(name, None if file is None else Path(keys["file"])).Options
             validated[name] = options.model_validate(keys)
+            if file is not None:
+                require_same_again(validated[name])
         except ValidationError as error:
             raise ValueError("\n".join(faults_of(error, options, ("effects", name)))) from None
         except ValueError as error:

@@ -1,7 +1,7 @@
 """The base of all tables of a scene file, what their keys may hold, and faults as messages."""
 
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import chain
 from typing import Annotated, Any, Literal, Self, Union, get_args
 
@@ -62,7 +62,7 @@ def python_values(value: Any) -> Any:
     """A value of a table with lists and numbers of Python in place of arrays and tuples, at any depth."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {name: python_values(inner) for name, inner in value.items()}
     if isinstance(value, list | tuple):
         kinds = set(map(type, value))

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, Validation
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
 from particles_mpi.scene.effect import VelocityFlow, faults_in
-from particles_mpi.scene.effect_files import validated_effects
+from particles_mpi.scene.effect_files import plain_options, validated_effects
 from particles_mpi.scene.losses import Losses
 from particles_mpi.scene.model import Flags, Model, NotNegative, faults_of, python_values, was_changed, wrong_length
 from particles_mpi.scene.population import Population, population_faults
@@ -157,7 +157,7 @@ class Scene(Model):
         plain |= {"warnings": False, "fallback": python_values}  # for values that a script has set, see `checked`
         tables = self.model_dump(**plain, exclude={"effects"})
         effects = {
-            name: options if isinstance(options, dict) else options.model_dump(**plain) for name, options in self.effects.items()
+            name: options if isinstance(options, dict) else plain_options(options) for name, options in self.effects.items()
         }
         shown = {name: {k: v for k, v in table.items() if (k, v) != ("active", True)} for name, table in effects.items()}
         return tables | {"effects": shown}

@@ -443,11 +443,7 @@ def test_what_would_be_ignored_is_refused(tmp_path):
         ("number", (OUTSIDE / "gate.py").read_text().replace('Column("int64")', "1.0"), "must be a table of columns"),
         ("taken", (OUTSIDE / "gate.py").read_text().replace("crossings", "mass"), "column 'mass': the name is taken"),
         *(
-            (
-                f"of_{name}",
-                (OUTSIDE / "gate.py").read_text().replace("crossings", name),
-                f"column '{name}': frames have something",
-            )
+            (f"of_{name}", (OUTSIDE / "gate.py").read_text().replace("crossings", name), f"column '{name}': the name is taken")
             for name in ("Points", "time", "index", "speed", "energy", "step", "fields", "count", "axis", "tank_full")
         ),
     ]:
