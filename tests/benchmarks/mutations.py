@@ -233,9 +233,30 @@ MUTATIONS = (
     Mutation(
         "flows of velocities move fixed particles",
         "integrators/kicks_and_drifts.py",
-        "                particles.velocity[particles.fixed != 0] = 0.0\n",
+        "                particles.hold_fixed()\n",
         "                pass\n",
         ("tests/parallel/test_outside_effects.py", "-k", "moves_nobody"),
+    ),
+    Mutation(
+        "flows of velocities are left out by the integrator adaptive",
+        "scene/effect.py",
+        "if name in cls.possible)",
+        ")",
+        ("tests/unit/scene/test_effects_of_users.py", "-k", "columns_only"),
+    ),
+    Mutation(
+        "drag presses nobody onto another",
+        "contacts/persistent/operator.py",
+        "presses = most > -least ",
+        "presses = False ",
+        ("tests/hard_cases/test_drag_of_what_lies.py", "-k", "sink"),
+    ),
+    Mutation(
+        "walls that take no energy keep no pile",
+        "contacts/persistent/operator.py",
+        "keeping = np.ones_like(keeping)",
+        "pass",
+        ("tests/hard_cases/test_rest.py", "-k", "touch_from"),
     ),
     Mutation(
         "several flows act in the same order before and after the force",
