@@ -7,7 +7,14 @@ import numpy as np
 from particles_mpi.initial.faults import Faults, listed_ids
 from particles_mpi.initial.overlaps import check_overlaps
 from particles_mpi.initial.room import Room
-from particles_mpi.initial.start_warnings import coincident, endless_falls, idle_effects, planes_that_end, rounded_end
+from particles_mpi.initial.start_warnings import (
+    coincident,
+    endless_falls,
+    idle_effects,
+    planes_that_end,
+    points_that_stick,
+    rounded_end,
+)
 from particles_mpi.kernels.jit import kernel
 from particles_mpi.particles import BUILT_IN, FIELDS, Array, Particles, row_dot
 from particles_mpi.scene.effect import ConstantFriction
@@ -38,7 +45,13 @@ def check_start(
         if not faults.found:
             judged = np.ones(len(particles), bool) if judged is None else judged
             more += check_overlaps(particles, room, collisions.allow_overlap, before, judged, faults)
-    return more + warnings + coincident(scene, particles, ranks) + idle_effects(scene, particles, ranks)
+    return [
+        *more,
+        *warnings,
+        *coincident(scene, particles, ranks),
+        *points_that_stick(scene, particles, ranks),
+        *idle_effects(scene, particles, ranks),
+    ]
 
 
 def check_places(particles: Particles, room: Room, faults: Faults) -> None:

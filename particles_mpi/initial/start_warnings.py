@@ -69,6 +69,16 @@ def idle_effects(scene: Scene, particles: Particles, ranks: Communicator) -> lis
     return idle + [f"effects.{key}: 0, which changes nothing" for key, is_weak in weak.items() if is_weak]
 
 
+def points_that_stick(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
+    """A warning of points on a line that lose energy to one another: at one place, nothing tells who is on which side."""
+    pairs = scene.active.get("collisions")
+    if scene.dimension > 1 or pairs is None or pairs.mode != "event" or pairs.restitution in (None, 1.0):
+        return []
+    if ranks.total(np.count_nonzero(particles.radius == 0.0))[0] < 3:
+        return []
+    return ["effects.collisions: points on a line that stick together let a third one through: give them a radius, however small"]
+
+
 def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
     """A warning of bodies at the same place that attract one another without softening: the law has no value there."""
     gravity = scene.active.get("mutual_gravity")

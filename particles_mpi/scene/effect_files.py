@@ -86,12 +86,10 @@ def same_value(one: Any, other: Any) -> bool:
 
 
 def plain_options(options: Any) -> dict[str, Any]:
-    """Options as plain numbers, text, lists and tables; of those that are None only what would not be without being given."""
-    plain = options.model_dump(mode="json", warnings=False, fallback=python_values)
-    fields = type(options).model_fields
-    return {
-        key: value for key, value in plain.items() if value is not None or key not in fields or fields[key].default is not None
-    }
+    """Options as plain numbers, text, lists and tables; None only where an option that is not given would be something else."""
+    plain: dict[str, Any] = options.model_dump(mode="json", exclude_none=True, warnings=False, fallback=python_values)
+    fields = type(options).model_fields.items()
+    return plain | {key: None for key, field in fields if field.default is not None and getattr(options, key) is None}
 
 
 def validated_effects(value: Any, info: ValidationInfo) -> dict[str, Any]:

@@ -39,6 +39,21 @@ def test_points_of_no_volume_fly_straight(d, spread, count, walls, mode):
     assert (sim.particles.velocity == v[ids]).all() and sim.totals["collisions"] == 0
 
 
+@pytest.mark.parametrize(
+    ("restitution", "radius", "count", "told"),
+    [(0.0, 0.0, 3, True), (1.0, 0.0, 3, False), (0.0, 0.01, 3, False), (0.0, 0.0, 2, False)],
+)
+def test_points_that_may_stick_together_are_told_of(restitution, radius, count, told):
+    """A third one passes through two at one place; spheres, however small, take it along."""
+    row = {"position": [[0.0], [1.0], [3.0]][:count], "velocity": [[1.0], [-1.0], [-1.0]][:count], "radius": radius}
+    effects = {"collisions": {"mode": "event", "restitution": restitution}}
+    sim = Simulation(Scene(dimension=1, time={"step": 0.1, "steps": 40}, effects=effects, particles=[row]))
+    assert any("let a third one through" in line for line in sim.warnings) == told
+    sim.run()
+    if radius:
+        assert sim.particles.velocity.ravel() == pytest.approx([-1.0 / 3.0] * 3, abs=1e-12)
+
+
 @pytest.mark.parametrize("at_once", [True, False])
 @pytest.mark.parametrize("count", [2, 3, 20])
 def test_points_on_a_line_stay_in_their_order(count, at_once):
