@@ -187,7 +187,7 @@ def is_default(column: Column) -> bool:
     with suppress(TypeError, ValueError, OverflowError):
         stored = np.array(value, column.dtype)
         whole = stored.dtype.kind == "f" or np.array_equal(stored, value)
-        return not isinstance(value, str) and bool(whole and np.all(np.greater_equal(value, column.least)))
+        return not isinstance(value, str) and bool(whole and not np.any(np.less(value, column.least)))
     return False
 
 

@@ -37,7 +37,7 @@ def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0
     """Moments (s,) and places (s, n, d) of all particles there ever were, which leave the box on periodic axes.
 
     smooth: nothing changes velocities at once. length (d,): of the box on periodic axes, 0 on others. Between two frames a
-    particle went the way that its velocities there tell best.
+    particle went the way that its velocities there tell best, or the shorter way if it may have met something.
     """
     ids = np.unique(np.concatenate([frame.id for frame in frames]))
     times = np.array([frame.time for frame in frames])
@@ -46,7 +46,8 @@ def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0
     for k, frame in enumerate(frames):
         here = np.searchsorted(ids, frame.id)
         places[k, here], velocities[k, here] = frame.position, frame.velocity
-    expected = 0.5 * (velocities[1:] + velocities[:-1]) * np.diff(times)[:, None, None]
+    mean = 0.5 * (velocities[1:] + velocities[:-1])
+    expected = mean * np.diff(times)[:, None, None] * smooth
     periods = np.rint((np.diff(places, axis=0) - expected) / np.where(length, length, np.inf))
     places[1:] -= np.cumsum(np.nan_to_num(periods), axis=0) * length
     if not smooth or len(frames) == 1 or np.isnan(places).any():

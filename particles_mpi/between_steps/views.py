@@ -157,15 +157,36 @@ def read_only(view: Array) -> Array:
     return view
 
 
+class Part:
+    """A table within an option, as it is shown: for reading only."""
+
+    def __init__(self, table: BaseModel):
+        vars(self).update(_table=table)
+
+    def __getattr__(self, key: str) -> Any:
+        return frozen(getattr(vars(self)["_table"], key))
+
+    def __setattr__(self, key: str, value: Any) -> None:
+        raise AttributeError(f"{key}: a part of an option cannot be set; set the option as a whole")
+
+    def __eq__(self, other: object) -> bool:
+        return bool(self._table == (other._table if isinstance(other, Part) else other))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return repr(self._table)
+
+
 def frozen(value: Any) -> Any:
     """An option as it is shown: what is set in a part of it would change nothing, and cannot be."""
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return tuple(map(frozen, value))
     if isinstance(value, dict):
         return MappingProxyType({key: frozen(inner) for key, inner in value.items()})
-    if isinstance(value, BaseModel):
-        return value.model_copy(update={key: frozen(inner) for key, inner in value})
-    return value
+    if isinstance(value, np.ndarray):
+        return read_only(value.view())
+    return Part(value) if isinstance(value, BaseModel) else value
 
 
 class RunningEffect:

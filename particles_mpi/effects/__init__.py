@@ -15,8 +15,8 @@ table and checks them. `Effect` derives from one of these kinds, which say when 
 
 All three change arrays in place. `add` and `advance` return nothing, `act` the number of particles that it has changed. What
 they do to velocities of fixed particles is taken back; `fixed` is 0 or 1 there, so the mask of rows is `fixed != 0`. A force can
-only read the fields of the program. Flows and events need `leapfrog` or `taylor`. A file that was edited is read anew by the
-next scene; simulations that there are go on with what it was.
+only read the fields of the program: a kernel gets arrays for reading, so give it no signature of your own. Flows and events need
+`leapfrog` or `taylor`. A file that was edited is read anew by the next scene; simulations that there are go on with what it was.
 
 What an effect needs stands in `needs`: a column of its own per particle (a charge, say) is then a key of every
 `[[particles]]` table, and is written to frames and checkpoints. An effect that no scene names is never imported.

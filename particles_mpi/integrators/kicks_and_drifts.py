@@ -105,7 +105,7 @@ class Accelerations:
             energy = asked(name, force.potential, to_read(p) if self.outside[name] else p)
             given = self.ranks.any(energy is not None) if self.outside[name] else energy is not None
             if given:
-                energy = np.zeros(0) if energy is None and not len(p) else energy  # a rank without rows has nothing to say
+                energy = energy if len(p) else np.zeros(0)  # a rank without rows has nothing to say
                 if np.shape(energy) != (len(p),) or np.asarray(energy).dtype.kind not in "fiub":
                     what = f"{type(energy).__name__} of shape {np.shape(energy)}"
                     raise StoppedError(
@@ -148,8 +148,8 @@ class Kick:
             for name, flow in self.flows.items():
                 call_in_place(name, flow.advance, particles, 0.5 * h)
             self.force_and_losses(particles, a, h, drift if a is None and not self.damping and not self.flows else 0.0)
-            for flow in reversed(self.flows.values()):
-                flow.advance(particles, 0.5 * h)
+            for name, flow in reversed(self.flows.items()):
+                asked(name, flow.advance, particles, 0.5 * h)
             if self.presses:
                 release(particles.velocity, a, *contacts, self.factors_of(particles, h)[1])
             if self.flows:

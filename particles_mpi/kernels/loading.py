@@ -17,7 +17,7 @@ from contextlib import suppress
 from hashlib import sha256
 from itertools import count
 from pathlib import Path
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -35,7 +35,7 @@ cache_class: Any = caching.Cache
 files_class: Any = caching.IndexDataCacheFile
 import_environment: Any = environment._rebuild_env
 known_index_key: Any = cache_class._index_key
-PACKAGE = str(Path(__file__).parents[1])
+PROGRAM = f"{__name__.partition('.')[0]}."  # with which its modules begin
 
 
 class Library(library_class):  # type: ignore[misc]
@@ -121,27 +121,33 @@ def index_key(cache: Any, signature: Any, codegen: Any) -> Any:
     Numba compares the file of the kernel itself only: a function, or a number, that it imports may have changed.
     """
     key, function = known_index_key(cache, signature, codegen), cache._py_func
-    if function.__code__.co_filename.startswith(PACKAGE):  # edited sources of the program are set up anew
+    if function.__module__.startswith(PROGRAM):  # edited sources of the program are set up anew
         return key
     return *key, sha256(repr(used_by(function, set())).encode()).hexdigest()
 
 
 def used_by(function: Any, seen: set[int]) -> list[Any]:
-    """The values from outside of a function with which it was compiled; of kernels among them the code, and what they use."""
+    """What a function uses from outside of it: numbers, and the files of other functions and of modules, and what these use."""
     seen.add(id(function))
     variables, used = inspect.getclosurevars(function), list[Any]()
     for name, value in sorted({**variables.globals, **variables.nonlocals}.items()):
-        inner = getattr(value, "py_func", None)
-        if inner is not None and id(inner) not in seen:
-            code = inner.__code__
-            used += [name, code.co_code, [c for c in code.co_consts if not hasattr(c, "co_code")], used_by(inner, seen)]
-        elif isinstance(value, ModuleType) and getattr(value, "__file__", None):  # a number of it is used by its name there
-            used += [name, Path(value.__file__ or "").read_bytes()]
-        elif isinstance(value, int | float | complex | str | tuple):
-            used += [name, value]
+        inner = getattr(value, "py_func", value)
+        if isinstance(inner, FunctionType):
+            used += [name, text_of(inner.__code__.co_filename), [] if id(inner) in seen else used_by(inner, seen)]
+        elif isinstance(value, ModuleType):
+            used += [name, text_of(getattr(value, "__file__", None))]
         elif hasattr(value, "tobytes"):
             used += [name, value.tobytes()]
+        elif isinstance(value, int | float | complex | str | tuple):
+            used += [name, value]
     return used
+
+
+def text_of(file: str | None) -> bytes:
+    """All that stands in a file; nothing if it cannot be read."""
+    with suppress(OSError):
+        return Path(file).read_bytes() if file else b""
+    return b""
 
 
 def load_and_keep_kernels() -> None:

@@ -55,9 +55,12 @@ def faults_in(name: str, options: EffectOptions, scene: Any) -> list[str]:
 
 
 def taken_in(effect: Any, dimension: int) -> str | None:
-    """An attribute that an effect of a user's has set, though it is a method of its kind, or a `g` that is no acceleration."""
+    """An attribute that an effect of a user's has set, though it is a method of its kind, or the `g` of a force and no (d,)."""
+    kinds = [kind for kind in (Effect, Force, VelocityFlow, Event) if isinstance(effect, kind)]
     for key, value in vars(effect).items():
-        if callable(getattr(type(effect), key, None)) or (key == "g" and value is not None and np.shape(value) != (dimension,)):
+        if any(callable(getattr(kind, key, None)) for kind in kinds):
+            return key
+        if key == "g" and Force in kinds and value is not None and np.shape(value) != (dimension,):
             return key
     return None
 
@@ -124,6 +127,8 @@ class Effect:
         if unknown := [name for name in cls.needs.integrators if name not in ANY]:
             raise ValueError(f"its needs.integrators: there is no {unknown[0]!r}")
         cls.needs = cls.needs._replace(integrators=tuple(name for name in cls.needs.integrators if name in cls.possible))
+        if not cls.needs.integrators:
+            raise ValueError(f"its needs.integrators: what it is works with {' and '.join(cls.possible)} only")
         for name, column in columns.items():
             add_column(name, column)
 
@@ -259,11 +264,11 @@ def asked(name: str, method: Callable[..., Any], *arguments: Any) -> Any:
     except (StoppedError, SceneError, MemoryError):
         raise
     except Exception as error:
-        own = sys.modules[method.__module__].__file__ or ""
+        own = getattr(sys.modules.get(getattr(method, "__module__", "")), "__file__", None)
         calls = [call for call in traceback.extract_tb(error.__traceback__) if call.filename == own]
-        where = f" (at {Path(own).name}:{calls[-1].lineno} {calls[-1].name})" if calls else ""
-        said = f"{type(error).__name__}: {one_line(error)}{where}"
-        raise StoppedError(f"effects.{name}: its `{method.__name__}` failed: {said}") from error
+        where = f" (at {Path(calls[-1].filename).name}:{calls[-1].lineno} {calls[-1].name})" if calls else ""
+        called = getattr(method, "__name__", "method")
+        raise StoppedError(f"effects.{name}: its `{called}` failed: {type(error).__name__}: {one_line(error)}{where}") from error
 
 
 def call_in_place(name: str, method: Callable[..., Any], *arguments: Any) -> None:

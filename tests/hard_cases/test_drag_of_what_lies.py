@@ -62,3 +62,13 @@ def test_two_that_sink_together_have_their_common_final_speed(h, surface, mode):
     sim = Simulation(Scene(dimension=2, time={"step": h, "end": 20.0}, particles=[row], effects=effects))
     sim.run()
     assert sim.particles.velocity[:, 1] == pytest.approx(-g * sum(masses) / np.dot(masses, rates), rel=1e-7)
+
+
+@pytest.mark.parametrize("walls", [{}, {"walls": {"planes": [{"point": [0, -1e4], "normal": [0, 1]}], "restitution": 0.5}}])
+def test_free_elastic_spheres_that_drag_presses_together_bounce(walls):
+    """Whether or not there is a wall that takes energy, far below."""
+    row = {"position": [[0.0, 0.0], [0.0, 0.25]], "radius": 0.1, "mass": [1.0, 3.0], "drag": [5.0, 0.5]}
+    effects = {"uniform_gravity": {"acceleration": [0.0, -10.0]}, "drag": {}, "collisions": {"mode": "event"}} | walls
+    sim = Simulation(Scene(dimension=2, time={"step": 0.02, "end": 3.0}, particles=[row], effects=effects))
+    sim.run()
+    assert sim.particles.velocity[:, 1] == pytest.approx([-5.903527134, -6.181512876], rel=1e-8)

@@ -131,6 +131,24 @@ def test_spheres_that_touch_from_the_start_stand_still(shape, d, walls, surface,
     assert np.abs(sim.particles.position[np.argsort(sim.particles.id)] - places).max() < 1e-9
 
 
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("pairs", [{"restitution": 0.5}, {"damping": 0.01}, {"friction": 0.3}])
+@pytest.mark.parametrize("speed", [1.5, 2.4, 2.9])
+def test_a_sphere_by_itself_bounces_on_an_elastic_floor_for_ever(speed, pairs, mode):
+    """At speeds of so many times g h, though spheres would lose energy to one another; two far away lie one on the other."""
+    row = {
+        "position": [[0.0, 0.1], [9.0, 0.1], [9.0, 0.3]],
+        "velocity": [[0.0, 0.1 * speed], [0.0, 0.0], [0.0, 0.0]],
+        "radius": 0.1,
+    }
+    walls = {"planes": [{"point": [0, 0], "normal": [0, 1]}]}
+    effects = {"uniform_gravity": {"acceleration": [0.0, -10.0]}, "collisions": pairs | {"mode": mode}, "walls": walls}
+    sim = Simulation(Scene(dimension=2, time={"step": 0.01, "steps": 1000}, particles=[row], effects=effects))
+    before = sim.measure()["total_energy"]
+    sim.steps(1000)
+    assert sim.measure()["total_energy"] == pytest.approx(before, abs=1e-12)
+
+
 SURFACES = [{"restitution": 0.5}, {"restitution": 0.5, "friction": 0.3}]
 
 

@@ -133,12 +133,28 @@ def contacts_with_rows(axes, row, state, graph, inside, h, length, made, contact
     return made
 
 
+@in_place
+def those_with(taking, first_slot, first, made, contacts):
+    """Of the contacts `first` ... made - 1 of a row, all with walls, those with walls that are `taking`; returns their end."""
+    partner, slot, normals, gaps, larger_push, any_speed = contacts
+    kept = first
+    for c in range(first, made):
+        if taking[slot[c] - first_slot]:
+            partner[kept], slot[kept], gaps[kept] = partner[c], slot[c], gaps[c]
+            larger_push[kept], any_speed[kept] = larger_push[c], any_speed[c]
+            for k in range(normals.shape[1]):
+                normals[kept, k] = normals[c, k]
+            kept += np.uint64(1)
+    return kept
+
+
 @kernel
-def find_half_edges(axes, state, graph, inside, h, length, faces, planes):
+def find_half_edges(axes, state, graph, inside, h, length, faces, planes, taking):
     """All half-edges between rows `inside` that may be slow, or that are among a crowd: the columns of `Contacts`.
 
     `state`: x, v, push (size + 1, d), radius, w, crowd (size + 1,) of rows, ghosts and a wall; `graph`: (start, other) of the
-    near pairs; `faces`: see `near_walls`; `planes`: (points, normals) of the walls.
+    near pairs; `faces`: see `near_walls`; `planes`: (points, normals) of the walls; `taking` (walls,): which keep a row that
+    touches no other, too.
     """
     x, v, push, radius, w, crowd = state
     near, other = graph
@@ -162,7 +178,10 @@ def find_half_edges(axes, state, graph, inside, h, length, faces, planes):
         if w[row] > 0.0 and pushes[row] > 0.0:
             body, reach = (x, radius[row], pushes[row], crowd[row]), max(HELD * pushes[row], speeds[row] * crowd[row]) * h
             made = contacts_with_walls(axes, row, body, reach, (faces, planes, len(other) + row * walls), made, contacts)
+        on_walls = made
         made = contacts_with_rows(axes, row, state, graph, inside, h, length, made, contacts)
+        if made == on_walls:  # a sphere by itself bounces off walls that take no energy, however slowly
+            made = those_with(taking, len(other) + row * walls, np.uint64(start[row]), made, contacts)
     start[n] = made
     of = slice(0, start[n])
     return start, partner[of], slot[of], normals[of], gaps[of], larger_push[of], any_speed[of]

@@ -30,10 +30,11 @@ from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_aro
 from particles_mpi.contacts.rough import FRICTION
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array, Particles
+from particles_mpi.particles import Array, Particles, row_dot
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect import Context
 
+LEAST_PRESS = 0.1  # times what all fall by: drag that differs by less does not press free spheres together
 OUTWARDS = np.array([[-1.0], [1.0]])  # the signs of the ends of a box
 
 
@@ -48,19 +49,18 @@ class PersistentContacts:
         """Of effects with forces and losses that can make a contact last. Collective.
 
         Elastic spheres, too, come to rest on one another where the walls below them take energy and forces are the same for all;
-        and spheres that lose energy to one another on walls that take none.
+        and spheres that lose energy to one another on walls that take none, as long as they touch another sphere.
         """
         ranks, length, options = context.ranks, context.length, effects.pairs.options if effects.pairs else None
-        pairs = effects.pairs is not None and effects.pairs.lossy
+        pairs = self.lossy = effects.pairs is not None and effects.pairs.lossy
         if effects.pairs and not pairs and effects.uniform:
             pairs = ranks.any((p.radius > 0.0).any())
         self.ranks, self.length = ranks if pairs else Communicator.alone(), length
         self.pairs, self.uniform, self.timers = pairs, effects.uniform, context.timers
         self.everywhere = OUTWARDS * np.full((2, len(length)), np.inf)
-        keeping = effects.walls.taking if effects.walls else np.empty(0, bool)
-        if effects.pairs and effects.pairs.lossy:  # a pile would rattle for ever between walls that take no energy
-            keeping = np.ones_like(keeping)
-        self.walls = Walls(effects.planes, keeping)
+        taking = effects.walls.taking if effects.walls else np.empty(0, bool)
+        keeping = taking | self.lossy  # a pile would rattle for ever between walls that take no energy
+        self.walls = Walls(effects.planes, keeping, taking)
         friction, resistance = effects.surfaces[:, FRICTION], effects.rolling.resistance if effects.rolling else 0.0
         surfaces = Surfaces(float(friction[0]), friction[1:][keeping], resistance)
         self.slow = SlowContacts(self.ranks, length, pairs, self.walls, surfaces, options.contact_tolerance if options else 0.0)
@@ -89,12 +89,14 @@ class PersistentContacts:
             if not self.pairs:
                 self.keep_on_walls(p, a, h, involved)
                 return
-            rates = np.zeros(1) if undamped is None else p["drag"][p.fixed == 0]
-            most, least = rates.max(initial=-np.inf), rates.min(initial=np.inf)
-            some, known, most, least = self.ranks.largest(len(involved) > 0, self.history.has_impulses(), most, -least)
-            presses = most > -least  # drag presses those that it slows less onto those that it slows more
-            if presses:
-                a = a - p["drag"][:, None] * p.velocity
+            drag = [0.0] * 4
+            if self.lossy and undamped is not None:
+                rates = p["drag"][p.fixed == 0]
+                drag = [rates.max(initial=0.0), -rates.min(initial=np.inf), longest(p.velocity), longest(a)]
+            some, known, most, least, fastest, pull = self.ranks.largest(len(involved) > 0, self.history.has_impulses(), *drag)
+            presses = (most + least) * fastest > LEAST_PRESS * pull
+            if presses:  # what drag slows less onto what it slows more: by what it takes beyond the least rate, which is -least
+                a = a - (p["drag"][:, None] + least) * p.velocity
             everywhere = presses or not self.uniform
             if not some and not everywhere:
                 self.history.forget()
@@ -191,6 +193,11 @@ class PersistentContacts:
         self.given = changed, by if self.undamped is None else by / self.undamped[changed, None]
         if v.shape[1] > d:
             p["spin"][rows] = v[:, d:]
+
+
+def longest(vectors: Array) -> float:
+    """The length of the longest of vectors (n, d), or 0."""
+    return float(np.sqrt(row_dot(vectors, vectors).max(initial=0.0)))
 
 
 def slow_widths(p: Particles, a: Array, h: float) -> Array:

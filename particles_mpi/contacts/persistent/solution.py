@@ -140,7 +140,9 @@ class SlowContacts:
         if found and not crowd and found.graph is graph and all(map(same_bits, found.for_these, for_these)):
             return found.contacts
         near = graph.start, graph.other
-        columns = find_half_edges(self.axes, tuple(local[:6]), near, inside, h, self.length, self.walls.faces, self.walls.planes)
+        columns = find_half_edges(
+            self.axes, tuple(local[:6]), near, inside, h, self.length, self.walls.faces, self.walls.planes, self.walls.taking
+        )
         contacts = Contacts(*columns)
         self.found = None if crowd else Found(graph, for_these, contacts)
         return contacts

@@ -11,12 +11,13 @@ from particles_mpi.particles import Array, Particles
 class Walls:
     """Those of the planes that are `keeping` contacts (bool, one for each plane). `len` is their number.
 
+    taking (walls,): which of them take energy, and keep contacts of a sphere that touches no other, too.
     planes: their points and normals, (walls, d) each; faces: what all the planes bound, see `Planes`; straight: are all of
     them faces along the axes?
     """
 
-    def __init__(self, planes: Planes, keeping: Array):
-        self.planes = planes.point[keeping], planes.normal[keeping]
+    def __init__(self, planes: Planes, keeping: Array, taking: Array):
+        self.planes, self.taking = (planes.point[keeping], planes.normal[keeping]), taking[keeping]
         self.faces = planes.lower, planes.upper, planes.oblique
         self.straight = not planes.oblique
         self.round_off = 1e-12 * np.abs(self.planes[0]).max(initial=0.0)

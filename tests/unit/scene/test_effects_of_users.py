@@ -4,6 +4,7 @@ import subprocess
 import sys
 import textwrap
 
+import numpy as np
 import pytest
 
 from particles_mpi import Scene, Simulation
@@ -44,22 +45,55 @@ def test_needs_with_columns_only_leave_the_integrators_of_the_kind(tmp_path, kin
         sim(write(tmp_path, body, kind), integrator=integrator)
 
 
+LAW = "import math\nfrom particles_mpi.effects import kernel\nK = {}\n@kernel\ndef pull(x):\n    return {}\n"
+
+
 def test_a_kernel_is_compiled_anew_if_what_it_imports_has_changed(tmp_path):
+    """A number, an expression, or a name that has the same bytes of code."""
     body = "def add(s, p, a): go(p.position, a)"
     imports = "from law import K, pull\nfrom particles_mpi.effects import kernel"
-    head = f"import sys\nsys.path.insert(0, __file__.rpartition('/')[0])\n{imports}"
-    file = write(tmp_path, body, head=head)
+    file = write(tmp_path, body, head=f"import sys\nsys.path.insert(0, __file__.rpartition('/')[0])\n{imports}")
     with file.open("a") as more:
         more.write("@kernel\ndef go(x, a):\n    for i in range(len(x)):\n        a[i, 0] -= K * pull(x[i, 0])\n")
     tables = {"dimension": 2, "time": {"step": 0.1, "steps": 1}, "effects": {"mine": {"file": str(file)}}}
     tables["particles"] = [{"position": [[1.0, 0.0]]}]
     script = f"from particles_mpi import Scene, Simulation\nprint(Simulation(Scene.from_dict({tables!r})).sum_forces()[0, 0])"
     said = []
-    for number, power in ((1.0, "x"), (3.0, "x"), (3.0, "2.0 * x")):
-        text = f"from particles_mpi.effects import kernel\nK = {number}\n@kernel\ndef pull(x):\n    return {power}\n"
-        (tmp_path / "law.py").write_text(text)
+    for number, power in ((1.0, "math.sin(x)"), (1.0, "math.cos(x)"), (3.0, "math.cos(x)")):
+        (tmp_path / "law.py").write_text(LAW.format(number, power))
         said.append(float(subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout))
-    assert said == [-1.0, -3.0, -6.0]
+    assert said == [-np.sin(1.0), -np.cos(1.0), -3.0 * np.cos(1.0)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        ("Event", "def __init__(s, o, c): s.g = 9.81\ndef act(s, p, h): return 0"),
+        ("VelocityFlow", "def __init__(s, o, c): s.g = 9.81\ndef advance(s, p, h): p.velocity[:, 1] -= s.g * h"),
+        (
+            "Force",
+            "def law(s, r): return r\ndef __init__(s, o, c): s.law = lambda r: 2 * r\ndef add(s, p, a): a -= s.law(p.position)",
+        ),
+    ],
+)
+def test_names_of_the_effect_of_its_own_are_free(tmp_path, kind, body):
+    sim(write(tmp_path, body, kind)).step()
+
+
+def test_a_default_may_be_nan(tmp_path):
+    body = "needs = Needs(columns={'not_set': Column(default=float('nan'))})\ndef add(s, p, a): pass"
+    assert np.isnan(sim(write(tmp_path, body)).particles.not_set).all()
+
+
+def test_nobody_has_an_energy_of_any_shape(tmp_path):
+    body = "def add(s, p, a): pass\ndef potential(s, p): return (p.position**2).sum(axis=1) if len(p) else 0.0"
+    assert sim(write(tmp_path, body), particles=[]).measure()["potential"] == 0.0
+
+
+def test_a_flow_for_no_integrator_that_knows_flows_is_refused(tmp_path):
+    body = "needs = Needs(integrators=('order4',))\ndef advance(s, p, h): pass"
+    with pytest.raises(SceneError, match="works with leapfrog and taylor only"):
+        sim(write(tmp_path, body, "VelocityFlow"))
 
 
 def test_an_effect_that_reads_options_of_another_one_sees_them_change(tmp_path):
@@ -95,10 +129,12 @@ def test_options_that_a_checkpoint_would_not_give_back_are_refused_at_the_start(
 
 
 def test_a_part_of_an_option_cannot_be_set(tmp_path):
-    s = sim(write(tmp_path, SPRING.format("o.m[0][0]"), options="m: list[list[float]] = [[1]]\nd: dict[str, float] = {'a': 1}"),
-            effects={"walls": {"planes": [{"point": [-9.0, 0.0], "normal": [1.0, 0.0]}]}})  # fmt: skip
+    options = "m: list[list[float]] = [[1]]\nd: dict[str, float] = {'a': 1}\nt: Table = Table()"
+    head = "from pydantic import BaseModel\nclass Table(BaseModel):\n    x: float = 1"
+    walls = {"planes": [{"point": [-9.0, 0.0], "normal": [1.0, 0.0]}]}
+    s = sim(write(tmp_path, SPRING.format("o.m[0][0]"), options=options, head=head), effects={"walls": walls})
     for change in (lambda e: e["mine"].m[0].__setitem__(0, 9.0), lambda e: e["mine"].d.__setitem__("a", 9.0),
-                   lambda e: e["walls"].planes[0].point.__setitem__(0, 0.9),
+                   lambda e: e["walls"].planes[0].point.__setitem__(0, 0.9), lambda e: setattr(e["mine"].t, "x", 5.0),
                    lambda e: setattr(e["walls"].planes[0], "point", [0.9, 0.0])):  # fmt: skip
         with pytest.raises((TypeError, AttributeError)):
             change(s.effects)
