@@ -191,7 +191,16 @@ class Trajectory(Continuing):
             raise
 
     def _flush(self) -> None:
+        if not self.parallel and os.stat(self.path).st_size < (size := self.file.id.get_filesize()):
+            self._lengthen(size)
         self.file.flush()
+
+    def _lengthen(self, size: int) -> None:
+        """Where files must not be that long it fails here: HDF5 would first write into the file that it is, and then fail."""
+        try:
+            os.truncate(self.path, size)
+        except OSError as error:
+            raise OSError(error.strerror) from error
 
     def _close(self) -> None:
         self.datasets = {}

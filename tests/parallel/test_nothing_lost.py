@@ -14,6 +14,7 @@ import termios
 import time
 from pathlib import Path
 
+import h5py
 import killing
 import pytest
 from conftest import ROOT, run_ranks
@@ -386,3 +387,29 @@ def test_a_file_that_was_deleted_is_told_of(tmp_path):
     assert done.returncode == 0 and f"{out / frame} is not there: particles.pvd no longer names it" in done.stdout
     listed = (out / "particles.pvd").read_text()
     assert frame not in listed and "000024.vtu" in listed and "000028.vtu" in listed
+
+
+LIMITED = """
+dimension = 2
+time = {step = 0.001, steps = 300}
+particles = [{count = 2000, position = "random", velocity = {speed = 1}}]
+effects = {walls = {}}
+output = {every = 5, formats = ["hdf5"], checkpoint_every = 50}
+[box]
+lower = [0, 0]
+upper = [9, 9]
+"""
+
+
+@pytest.mark.parametrize("limit", [5_500_000, *with_all(4_608_000, 7_000_000)])
+def test_one_rank_may_write_files_of_a_limited_size(tmp_path, limit):
+    """What is shown by then can be read, and the run goes on where there is no limit."""
+    (tmp_path / "a.toml").write_text(LIMITED)
+    command = [sys.executable, "-m", "particles_mpi", "run", "a.toml", "--output", "out", "--quiet"]
+    limited = ["bash", "-c", f"ulimit -f {limit // 1024}; exec {' '.join(command)}"]
+    stopped = subprocess.run(limited, cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert stopped.returncode == 3 and "File too large" in stopped.stderr and stopped.stderr.count("\n") == 1, stopped.stderr
+    with h5py.File(tmp_path / "out/trajectory.vtkhdf") as file, h5py.File(tmp_path / "out/checkpoint.h5") as saved:
+        assert file["VTKHDF/Steps"].attrs["NSteps"] >= saved.attrs["step"] // 5 + 1
+    again = subprocess.run([*command, "--resume", "auto"], cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert again.returncode == 0, again.stderr
