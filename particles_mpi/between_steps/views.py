@@ -6,7 +6,7 @@ next step, and taken over if a bit differs; a scene whose particles nobody looks
 
 import weakref
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -157,14 +157,25 @@ def read_only(view: Array) -> Array:
     return view
 
 
-class Part:
+class Part(Mapping[str, Any]):
     """A table within an option, as it is shown: for reading only."""
 
     def __init__(self, table: BaseModel):
         vars(self).update(_table=table)
 
     def __getattr__(self, key: str) -> Any:
+        if "_table" not in vars(self):  # while it is copied
+            raise AttributeError(key)
         return frozen(getattr(vars(self)["_table"], key))
+
+    def __getitem__(self, key: str) -> Any:
+        return frozen(dict(self._table)[key])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict(self._table))
+
+    def __len__(self) -> int:
+        return len(dict(self._table))
 
     def __setattr__(self, key: str, value: Any) -> None:
         raise AttributeError(f"{key}: a part of an option cannot be set; set the option as a whole")

@@ -17,6 +17,7 @@ from contextlib import suppress
 from hashlib import sha256
 from itertools import count
 from pathlib import Path
+from sysconfig import get_path
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -35,6 +36,7 @@ cache_class: Any = caching.Cache
 files_class: Any = caching.IndexDataCacheFile
 import_environment: Any = environment._rebuild_env
 known_index_key: Any = cache_class._index_key
+LIBRARIES = tuple(get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib"))
 PROGRAM = f"{__name__.partition('.')[0]}."  # with which its modules begin
 
 
@@ -130,10 +132,17 @@ def used_by(function: Any, seen: set[int]) -> list[Any]:
     """What a function uses from outside of it: numbers, and the files of other functions and of modules, and what these use."""
     seen.add(id(function))
     variables, used = inspect.getclosurevars(function), list[Any]()
-    for name, value in sorted({**variables.globals, **variables.nonlocals}.items()):
+    values = {**variables.globals, **variables.nonlocals}
+    for module in [
+        value for value in values.values() if isinstance(value, ModuleType) and not of_library(getattr(value, "__file__", None))
+    ]:
+        values |= {f"{module.__name__}.{name}": getattr(module, name, None) for name in function.__code__.co_names}
+    values |= {f"default {k}": value for k, value in enumerate(function.__defaults__ or ())}
+    for name, value in sorted(values.items()):
         inner = getattr(value, "py_func", value)
         if isinstance(inner, FunctionType):
-            used += [name, text_of(inner.__code__.co_filename), [] if id(inner) in seen else used_by(inner, seen)]
+            file = inner.__code__.co_filename
+            used += [name, text_of(file), [] if id(inner) in seen or of_library(file) else used_by(inner, seen)]
         elif isinstance(value, ModuleType):
             used += [name, text_of(getattr(value, "__file__", None))]
         elif hasattr(value, "tobytes"):
@@ -141,6 +150,11 @@ def used_by(function: Any, seen: set[int]) -> list[Any]:
         elif isinstance(value, int | float | complex | str | tuple):
             used += [name, value]
     return used
+
+
+def of_library(file: str | None) -> bool:
+    """Is it of Python, or installed? Such files are whole: what they use in turn is not looked at."""
+    return file is None or file.startswith(LIBRARIES)
 
 
 def text_of(file: str | None) -> bytes:

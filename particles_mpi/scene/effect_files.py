@@ -8,7 +8,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from pydantic import ValidationError, ValidationInfo
+from pydantic import BaseModel, ValidationError, ValidationInfo
 
 from particles_mpi.errors import one_line
 from particles_mpi.scene.effect import EffectOptions, Event, Force, VelocityFlow
@@ -87,9 +87,21 @@ def same_value(one: Any, other: Any) -> bool:
 
 def plain_options(options: Any) -> dict[str, Any]:
     """Options as plain numbers, text, lists and tables; None only where an option that is not given would be something else."""
-    plain: dict[str, Any] = options.model_dump(mode="json", exclude_none=True, warnings=False, fallback=python_values)
-    fields = type(options).model_fields.items()
-    return plain | {key: None for key, field in fields if field.default is not None and getattr(options, key) is None}
+    plain: dict[str, Any] = options.model_dump(mode="json", warnings=False, fallback=python_values)
+    return without_idle(options, plain)
+
+
+def without_idle(value: Any, plain: Any) -> Any:
+    """`plain`, which is what a value came to, without what is None in its tables and would be, were it not given."""
+    if isinstance(value, BaseModel):
+        fields = type(value).model_fields
+        idle = {key: key in fields and getattr(value, key) is None and fields[key].default is None for key in plain}
+        return {key: without_idle(getattr(value, key, None), inner) for key, inner in plain.items() if not idle[key]}
+    if isinstance(value, dict) and isinstance(plain, dict):
+        return {key: without_idle(value.get(key), inner) for key, inner in plain.items()}
+    if isinstance(value, list | tuple) and isinstance(plain, list):
+        return [without_idle(one, inner) for one, inner in zip(value, plain, strict=True)]
+    return plain
 
 
 def validated_effects(value: Any, info: ValidationInfo) -> dict[str, Any]:

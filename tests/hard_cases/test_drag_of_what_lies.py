@@ -72,3 +72,14 @@ def test_free_elastic_spheres_that_drag_presses_together_bounce(walls):
     sim = Simulation(Scene(dimension=2, time={"step": 0.02, "end": 3.0}, particles=[row], effects=effects))
     sim.run()
     assert sim.particles.velocity[:, 1] == pytest.approx([-5.903527134, -6.181512876], rel=1e-8)
+
+
+def test_drag_holds_a_pair_whatever_pulls_elsewhere():
+    """Two that drag presses together, and a third one a hundred lengths away, with a large acceleration of its own."""
+    row = {"position": [[0.0, 0.0], [0.0, 1.0], [100.0, 0.0]], "velocity": [[0.0, -5.0], [0.0, -5.0], [0.0, 0.0]], "radius": 0.5}
+    row |= {"mass": 1.0, "drag": [1.0, 0.1, 1.0], "acceleration": [[0.0, 0.0], [0.0, 0.0], [60.0, 0.0]]}
+    effects = {"user_acceleration": {}, "drag": {}, "collisions": {"mode": "event", "restitution": 0.0}}
+    sim = Simulation(Scene(dimension=2, time={"step": 0.01, "steps": 10}, effects=effects, particles=[row]))
+    sim.steps(10)
+    speeds = sim.particles.velocity[np.argsort(sim.particles.id), 1]
+    assert abs(speeds[1] - speeds[0]) < 1e-12 and sim.totals["collisions"] == 0

@@ -94,7 +94,8 @@ class PersistentContacts:
                 rates = p["drag"][p.fixed == 0]
                 drag = [rates.max(initial=0.0), -rates.min(initial=np.inf), longest(p.velocity), longest(a)]
             some, known, most, least, fastest, pull = self.ranks.largest(len(involved) > 0, self.history.has_impulses(), *drag)
-            presses = (most + least) * fastest > LEAST_PRESS * pull
+            # other forces than uniform ones press free spheres anyhow, and differ from place to place
+            presses = (most + least) * fastest > (LEAST_PRESS * pull if self.uniform else 0.0)
             if presses:  # what drag slows less onto what it slows more: by what it takes beyond the least rate, which is -least
                 a = a - (p["drag"][:, None] + least) * p.velocity
             everywhere = presses or not self.uniform

@@ -1,5 +1,6 @@
 """Effects of a student: what was lost, or other than after a restart, without a word."""
 
+import copy
 import subprocess
 import sys
 import textwrap
@@ -45,24 +46,26 @@ def test_needs_with_columns_only_leave_the_integrators_of_the_kind(tmp_path, kin
         sim(write(tmp_path, body, kind), integrator=integrator)
 
 
-LAW = "import math\nfrom particles_mpi.effects import kernel\nK = {}\n@kernel\ndef pull(x):\n    return {}\n"
+LAW = "import math\nfrom particles_mpi.effects import kernel\nfrom far import F\nK = {}\n"
+LAW += "@kernel\ndef pull(x, f=F):\n    return f * {}\n"
 
 
 def test_a_kernel_is_compiled_anew_if_what_it_imports_has_changed(tmp_path):
-    """A number, an expression, or a name that has the same bytes of code."""
+    """A number, an expression, a name that has the same bytes of code; and what a helper itself imports."""
     body = "def add(s, p, a): go(p.position, a)"
-    imports = "from law import K, pull\nfrom particles_mpi.effects import kernel"
+    imports = "import law\nfrom law import K\nfrom particles_mpi.effects import kernel"
     file = write(tmp_path, body, head=f"import sys\nsys.path.insert(0, __file__.rpartition('/')[0])\n{imports}")
     with file.open("a") as more:
-        more.write("@kernel\ndef go(x, a):\n    for i in range(len(x)):\n        a[i, 0] -= K * pull(x[i, 0])\n")
+        more.write("@kernel\ndef go(x, a):\n    for i in range(len(x)):\n        a[i, 0] -= K * law.pull(x[i, 0])\n")
     tables = {"dimension": 2, "time": {"step": 0.1, "steps": 1}, "effects": {"mine": {"file": str(file)}}}
     tables["particles"] = [{"position": [[1.0, 0.0]]}]
     script = f"from particles_mpi import Scene, Simulation\nprint(Simulation(Scene.from_dict({tables!r})).sum_forces()[0, 0])"
     said = []
-    for number, power in ((1.0, "math.sin(x)"), (1.0, "math.cos(x)"), (3.0, "math.cos(x)")):
-        (tmp_path / "law.py").write_text(LAW.format(number, power))
+    for number, power, far in ((1, "math.sin(x)", 1), (1, "math.cos(x)", 1), (3, "math.cos(x)", 1), (3, "math.cos(x)", 2)):
+        (tmp_path / "law.py").write_text(LAW.format(float(number), power))
+        (tmp_path / "far.py").write_text(f"F = {float(far)}\n")
         said.append(float(subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout))
-    assert said == [-np.sin(1.0), -np.cos(1.0), -3.0 * np.cos(1.0)]
+    assert said == pytest.approx([-np.sin(1.0), -np.cos(1.0), -3.0 * np.cos(1.0), -6.0 * np.cos(1.0)])
 
 
 @pytest.mark.parametrize(
@@ -139,6 +142,20 @@ def test_a_part_of_an_option_cannot_be_set(tmp_path):
         with pytest.raises((TypeError, AttributeError)):
             change(s.effects)
     s.effects["mine"].d = {**s.effects["mine"].d, "b": 2.0}
+    assert goes_on_as_read_back(s, tmp_path / "s.json")
+
+
+def test_a_table_within_an_option_can_be_set_as_it_is_read(tmp_path):
+    """None in it, too, outlasts JSON, where that is not what it would be if it were not given."""
+    options = "t: Table = Table()"
+    head = "from pydantic import BaseModel\nclass Table(BaseModel):\n    x: float | None = 0.5"
+    floor, ceiling = {"point": [0.0, -9.0], "normal": [0.0, 1.0]}, {"point": [0.0, 9.0], "normal": [0.0, -1.0]}
+    s = sim(write(tmp_path, SPRING.format("o.t.x or 0.1"), options=options, head=head), effects={"walls": {"planes": [floor]}})
+    walls, mine = s.effects["walls"], s.effects["mine"]
+    walls.planes = [*walls.planes, ceiling]
+    assert len(walls.planes) == 2 and copy.copy(walls.planes[0]) == walls.planes[0]
+    mine.t = mine.t
+    mine.t = {"x": None}
     assert goes_on_as_read_back(s, tmp_path / "s.json")
 
 
