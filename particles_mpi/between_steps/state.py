@@ -252,15 +252,14 @@ class State:
         self.take_changes()
         scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
         self.require_masses(scene, name, key)
-        outside = any(of.file for of in scene.effects.values())
-        if outside:
+        if scene.outside:
             with raising_together(self.ranks):  # what cannot be made or bound leaves all as it is
                 ActiveEffects(scene).bind(self.context)
         options.effect_class().option_changed(self.rows, self.scene.effects[name], options)
         self.particles.show()
         self.scene = scene
         # An effect of a file may have read the option, too
-        if issubclass(options.effect_class(), Force) and not outside and options.active and key != "active":
+        if issubclass(options.effect_class(), Force) and not scene.outside and options.active and key != "active":
             force = built(name, self.scene.effects[name], self.scene)
             force.bind(self.context)
             self.accelerations.replace(name, force)

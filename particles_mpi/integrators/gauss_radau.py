@@ -23,8 +23,9 @@ class Adaptive:
         self, ranks: Communicator, tolerance: float, forces: Callable[[], Array | None], timers: Timers,
         box: tuple[Array, Array, Array] | None = None,
     ):  # fmt: skip
-        """`forces`: accelerations (n, d) at the positions of the moment, or None; `box`: corners, and lengths of periodic axes,
-        where these depend on places and must be given some inside of it.
+        """`forces`: accelerations (n, d) at the positions of the moment, or None.
+
+        `box`: corners (d,), and lengths (d,) of periodic axes, if forces are to be given places inside of it.
         """
         self.box = box
         self.ranks, self.sum_forces, self.timers = ranks, forces, timers

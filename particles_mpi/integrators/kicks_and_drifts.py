@@ -40,8 +40,7 @@ def integrator_of(
     """
     name = scene.time.integrator
     if name == "adaptive":
-        outside = any(scene.periodic) and any(options.file for options in scene.effects.values())
-        box = (*scene.corners, scene.periodic_length) if outside else None
+        box = (*scene.corners, scene.periodic_length) if any(scene.periodic) and scene.outside else None
         return Adaptive(ranks, scene.time.tolerance or TOLERANCE, kick.forces, kick.timers, box)
     return Taylor(kick) if name == "taylor" else Composition(kick, persistent, closing, *COMPOSITIONS[name])
 

@@ -133,10 +133,10 @@ def used_by(function: Any, seen: set[int]) -> list[Any]:
     seen.add(id(function))
     variables, used = inspect.getclosurevars(function), list[Any]()
     values = {**variables.globals, **variables.nonlocals}
-    for module in [
-        value for value in values.values() if isinstance(value, ModuleType) and not of_library(getattr(value, "__file__", None))
-    ]:
-        values |= {f"{module.__name__}.{name}": getattr(module, name, None) for name in function.__code__.co_names}
+    modules = [value for value in values.values() if isinstance(value, ModuleType)]
+    for module in modules:
+        if not of_library(getattr(module, "__file__", None)):
+            values |= {f"{module.__name__}.{name}": getattr(module, name, None) for name in function.__code__.co_names}
     values |= {f"default {k}": value for k, value in enumerate(function.__defaults__ or ())}
     for name, value in sorted(values.items()):
         inner = getattr(value, "py_func", value)

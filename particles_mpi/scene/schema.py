@@ -162,9 +162,14 @@ class Scene(Model):
         shown = {name: {k: v for k, v in table.items() if (k, v) != ("active", True)} for name, table in effects.items()}
         return tables | {"effects": shown}
 
+    @property
+    def outside(self) -> dict[str, Any]:
+        """Options of the effects from outside the program, by name."""
+        return {name: options for name, options in self.effects.items() if options.file}
+
     def digests(self) -> dict[str, str]:
         """sha256 of the files of effects from outside the program, by effect."""
-        return {name: sys.modules[type(options).__module__].digest for name, options in self.effects.items() if options.file}
+        return {name: sys.modules[type(options).__module__].digest for name, options in self.outside.items()}
 
     @property
     def periodic(self) -> list[bool]:
