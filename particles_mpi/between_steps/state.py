@@ -9,22 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.between_steps.views import ParticleView, RunningEffect, RunningEffects, changed_options
+from particles_mpi.between_steps.options import RunningEffect, RunningEffects
+from particles_mpi.between_steps.views import ParticleView
 from particles_mpi.contacts.drift import COUNTS, Drift
-from particles_mpi.errors import SceneError, StateError, StoppedError
-from particles_mpi.initial.checks import divided_masses, value_limits
+from particles_mpi.errors import StateError, StoppedError
+from particles_mpi.initial.checks import value_limits
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.integrators.many_steps import ManySteps
 from particles_mpi.kernels.validity import find_invalid
 from particles_mpi.measure.watchdog import Watchdog
-from particles_mpi.parallel.agreement import describe_unexpected, raising_together, same_on_all
+from particles_mpi.parallel.agreement import describe_unexpected, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import id_range
 from particles_mpi.parallel.signals import HeldInterrupt
 from particles_mpi.particles import Array, Particles, default_values, moment_of_sphere
 from particles_mpi.scene.active import ActiveEffects, fields_of
-from particles_mpi.scene.effect import Context, Force, built
-from particles_mpi.scene.model import python_values
+from particles_mpi.scene.effect import Context
 from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
 
@@ -236,36 +236,3 @@ class State:
     def effects(self) -> Mapping[str, RunningEffect]:
         """The effects of the scene by name; setting an option of one changes the run. See `RunningEffect`."""
         return MappingProxyType(RunningEffects({name: RunningEffect(self, name) for name in self.scene.effects}))
-
-    def require_masses(self, scene: Scene, name: str, key: str) -> None:
-        """Raise SceneError if the effect, as in `scene`, divides by masses and there is a particle without. Collective."""
-        p = self.rows
-        without = p.id[divided_masses(scene, p.fixed).get(name, False) & (p.mass == 0.0)]
-        first = self.ranks.least(float(without.min()) if len(without) else np.inf)
-        if first < np.inf:
-            raise SceneError([f"effects.{name}.{key}: masses would be divided by, and particle {first:.0f} has none"])
-
-    def change_effect(self, name: str, key: str, value: Any) -> None:
-        """Give an option of an effect another value, from the next step on; checked as in a scene file. Collective."""
-        same_on_all(self.ranks, {"effects": {name: {key: python_values(value)}}})
-        options = changed_options(self.scene, name, key, value)
-        self.take_changes()
-        scene = self.scene.model_copy(update={"effects": {**self.scene.effects, name: options.running()}})
-        self.require_masses(scene, name, key)
-        if scene.outside:
-            with raising_together(self.ranks):  # what cannot be made or bound leaves all as it is
-                ActiveEffects(scene).bind(self.context)
-        options.effect_class().option_changed(self.rows, self.scene.effects[name], options)
-        self.particles.show()
-        self.scene = scene
-        # An effect of a file may have read the option, too
-        if issubclass(options.effect_class(), Force) and not scene.outside and options.active and key != "active":
-            force = built(name, self.scene.effects[name], self.scene)
-            force.bind(self.context)
-            self.accelerations.replace(name, force)
-            self.active.all[name] = self.active.forces[name] = force
-            self.look_for_many_steps()
-            self.rows.edition += 1
-            self.forget_contacts()
-        else:
-            self.build()

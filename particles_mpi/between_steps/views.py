@@ -1,4 +1,4 @@
-"""What a user sees between two steps: the particles of a rank, and the effects of the scene.
+"""What a user sees of the particles of a rank between two steps.
 
 A user gets copies of the arrays of `Particles`. What is written into a copy is compared with the original at the beginning of the
 next step, and taken over if a bit differs; a scene whose particles nobody looks at pays nothing.
@@ -6,18 +6,12 @@ next step, and taken over if a bit differs; a scene whose particles nobody looks
 
 import weakref
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from types import MappingProxyType
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
 
-from particles_mpi.errors import SceneError, StateError
+from particles_mpi.errors import StateError
 from particles_mpi.particles import Array, Particles, as_shown, moment_of_sphere, same_bits
-from particles_mpi.scene.effect import EffectOptions, faults_in
-from particles_mpi.scene.model import faults_of, python_values, suggestion
-from particles_mpi.scene.schema import Scene
 
 READ_ONLY = ("id", "rate", "total_acceleration", "free_acceleration")
 GUARDED = 8  # arrays of earlier steps that are looked after, in case somebody writes into them
@@ -155,96 +149,3 @@ def read_only(view: Array) -> Array:
     """A view that cannot be written to."""
     view.flags.writeable = False
     return view
-
-
-class Part(Mapping[str, Any]):
-    """A table within an option, as it is shown: for reading only."""
-
-    def __init__(self, table: BaseModel):
-        vars(self).update(_table=table)
-
-    def __getattr__(self, key: str) -> Any:
-        if "_table" not in vars(self):  # while it is copied
-            raise AttributeError(key)
-        return frozen(getattr(vars(self)["_table"], key))
-
-    def __getitem__(self, key: str) -> Any:
-        return frozen(dict(self._table)[key])
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(dict(self._table))
-
-    def __len__(self) -> int:
-        return len(dict(self._table))
-
-    def __setattr__(self, key: str, value: Any) -> None:
-        raise AttributeError(f"{key}: a part of an option cannot be set; set the option as a whole")
-
-    def __eq__(self, other: object) -> bool:
-        return bool(self._table == (other._table if isinstance(other, Part) else other))
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __repr__(self) -> str:
-        return repr(self._table)
-
-
-def frozen(value: Any) -> Any:
-    """An option as it is shown: what is set in a part of it would change nothing, and cannot be."""
-    if isinstance(value, list | tuple):
-        return tuple(map(frozen, value))
-    if isinstance(value, dict):
-        return MappingProxyType({key: frozen(inner) for key, inner in value.items()})
-    if isinstance(value, np.ndarray):
-        return read_only(value.view())
-    return Part(value) if isinstance(value, BaseModel) else value
-
-
-class RunningEffect:
-    """`sim.effects["uniform_gravity"].acceleration = [0, 0, -1]`, `sim.effects["walls"].active = False`.
-
-    The attributes are the keys of the effect's table in the scene file. A new value is checked as there (SceneError) and
-    counts from the next step on. On several ranks all must set the same. Lists are shown as tuples: a vector is set whole.
-    """
-
-    def __init__(self, sim: Any, name: str):
-        vars(self).update(_sim=sim, _name=name)
-
-    @property
-    def _options(self) -> EffectOptions:
-        options: EffectOptions = self._sim.scene.effects[self._name]
-        return options
-
-    def __getattr__(self, key: str) -> Any:
-        if key.startswith("_") or key not in type(self._options).model_fields:
-            raise AttributeError(f"effects.{self._name}: no option {key!r}")
-        return frozen(getattr(self._options, key))
-
-    def __setattr__(self, key: str, value: Any) -> None:
-        getattr(self, key)
-        self._sim.change_effect(self._name, key, value)
-
-    def __repr__(self) -> str:
-        return f"{self._name}: {self._options!r}"
-
-
-class RunningEffects(dict[str, RunningEffect]):
-    """The effects of a scene by name."""
-
-    def __missing__(self, name: str) -> RunningEffect:
-        raise KeyError(f"effects: the scene has no {name}{suggestion(name, list(self)) if self else ''}")
-
-
-def changed_options(scene: Scene, name: str, key: str, value: Any) -> EffectOptions:
-    """The options of an effect with another value of one key. Raises SceneError as a scene file with it would."""
-    old: EffectOptions = scene.effects[name]
-    kind = type(old)
-    if key == "file":
-        raise SceneError(f"effects.{name}.file: cannot be changed between two steps; make another scene")
-    try:
-        new = kind.model_validate(old.model_dump() | {key: python_values(value)})
-    except ValidationError as error:
-        raise SceneError(faults_of(error, kind, ("effects", name))) from None
-    if faults := faults_in(name, new, scene):
-        raise SceneError(faults)
-    return new

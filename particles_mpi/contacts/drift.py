@@ -20,7 +20,8 @@ from particles_mpi.kernels.motion import free_drift
 from particles_mpi.kernels.turning import turn
 from particles_mpi.particles import Array, Particles, rows_with
 from particles_mpi.scene.active import ActiveEffects
-from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, RollingResistance, WallContacts, asked, number_from
+from particles_mpi.scene.calls import asked, number_from
+from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, RollingResistance, WallContacts
 
 if TYPE_CHECKING:
     from particles_mpi.contacts.event_driven.operator import EventDriven

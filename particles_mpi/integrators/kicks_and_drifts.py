@@ -15,7 +15,8 @@ from particles_mpi.kernels.motion import kick, kick_with_drag, press, release
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, to_read
 from particles_mpi.scene.active import ActiveEffects
-from particles_mpi.scene.effect import Force, asked, call_in_place
+from particles_mpi.scene.calls import asked, call_in_place
+from particles_mpi.scene.effect import Force
 from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from particles_mpi.particles import ALWAYS, BUILT_IN, FIELDS, Array
 from particles_mpi.scene import effect as kinds
+from particles_mpi.scene.calls import asked, built
 from particles_mpi.scene.schema import Scene
 
 Kind = TypeVar("Kind", bound=kinds.Effect)
@@ -17,7 +18,7 @@ class ActiveEffects:
     def __init__(self, scene: Scene, switched_off: bool = False):
         options = scene.effects if switched_off else scene.active
         self.dimension, self.integrator = scene.dimension, scene.time.integrator
-        self.all: dict[str, kinds.Effect] = {name: kinds.built(name, of, scene) for name, of in options.items()}
+        self.all: dict[str, kinds.Effect] = {name: built(name, of, scene) for name, of in options.items()}
         self.forces, self.flows = self.of_kind(kinds.Force), self.of_kind(kinds.VelocityFlow)
         self.events = self.of_kind(kinds.Event)
         self.damping, self.friction = self.one_of(kinds.Damping), self.one_of(kinds.ConstantFriction)
@@ -36,7 +37,7 @@ class ActiveEffects:
     def bind(self, context: kinds.Context) -> None:
         """Tell all effects of the ranks and ids there are. Collective."""
         for name, effect in self.all.items():
-            kinds.asked(name, effect.bind, context)
+            asked(name, effect.bind, context)
 
     def names(self, *of: type[kinds.Effect]) -> list[str]:
         """Names of the effects of these kinds."""

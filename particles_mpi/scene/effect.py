@@ -1,15 +1,10 @@
 """The kinds of effect. How to write one stands in `effects/__init__.py`; `effect_files` loads it."""
 
 import sys
-import traceback
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
-
-from particles_mpi.errors import SceneError, StoppedError, one_line
 from particles_mpi.particles import Array, Column, Particles, add_column
 from particles_mpi.scene.model import Model
 
@@ -43,39 +38,6 @@ class EffectOptions(Model):
     def faults(self, scene: Any) -> list[str]:
         """What is wrong with these options in this scene, each beginning with the key; [] if nothing is."""
         return []
-
-
-def faults_in(name: str, options: EffectOptions, scene: Any) -> list[str]:
-    """What is wrong with the options of the effect of that name in a scene, each beginning with its key in the scene file."""
-    try:
-        found: Any = options.faults(scene) or []
-        return [f"effects.{name}.{fault}" for fault in ([found] if isinstance(found, str) else found)]
-    except (Exception, SystemExit) as error:  # of a user's own
-        raise SceneError(f"effects.{name}: its `faults` failed: {type(error).__name__}: {one_line(error)}") from error
-
-
-def taken_in(effect: Any, dimension: int) -> str | None:
-    """An attribute that an effect of a user's has set, though it is a method of its kind, or the `g` of a force and no (d,)."""
-    kinds = [kind for kind in (Effect, Force, VelocityFlow, Event) if isinstance(effect, kind)]
-    for key, value in vars(effect).items():
-        if any(callable(getattr(kind, key, None)) for kind in kinds):
-            return key
-        if key == "g" and Force in kinds and value is not None and np.shape(value) != (dimension,):
-            return key
-    return None
-
-
-def built(name: str, options: EffectOptions, scene: Any) -> Any:
-    """The effect of that name with its options. SceneError if it cannot be made, as one of a user's own may fail to be."""
-    try:
-        made = options.effect_class()(options, scene)
-        if options.file and (key := taken_in(made, scene.dimension)):
-            raise SceneError(f"effects.{name}.file: self.{key} means something else to the program: use another name")
-        return made
-    except SceneError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise SceneError(f"effects.{name}: it cannot be made: {type(error).__name__}: {one_line(error)}") from error
 
 
 class Needs(NamedTuple):
@@ -255,30 +217,3 @@ class RollingResistance(Effect):
 
     role = "dissipation"
     resistance: float
-
-
-def asked(name: str, method: Callable[..., Any], *arguments: Any) -> Any:
-    """What a method of an effect returns. StoppedError, which names the effect, file and line, where it fails."""
-    try:
-        return method(*arguments)
-    except (StoppedError, SceneError, MemoryError):
-        raise
-    except Exception as error:
-        own = getattr(sys.modules.get(getattr(method, "__module__", "")), "__file__", None)
-        calls = [call for call in traceback.extract_tb(error.__traceback__) if call.filename == own]
-        where = f" (at {Path(calls[-1].filename).name}:{calls[-1].lineno} {calls[-1].name})" if calls else ""
-        called = getattr(method, "__name__", "method")
-        raise StoppedError(f"effects.{name}: its `{called}` failed: {type(error).__name__}: {one_line(error)}{where}") from error
-
-
-def call_in_place(name: str, method: Callable[..., Any], *arguments: Any) -> None:
-    """Call a method of an effect that changes arrays in place. StoppedError if it returns something, which would be lost."""
-    if asked(name, method, *arguments) is not None:
-        raise StoppedError(f"effects.{name}: its `{method.__name__}` must change the arrays that it is given, and return nothing")
-
-
-def number_from(name: str, returned: Any) -> int:
-    """How many particles an event says that it changed. StoppedError for what is no such number."""
-    if isinstance(returned, int | np.integer) and not isinstance(returned, bool) and returned >= 0:
-        return int(returned)
-    raise StoppedError(f"effects.{name}: its `act` returned {returned!r:.60}, and not how many particles it has changed")

@@ -11,7 +11,8 @@ from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, Validation
 
 from particles_mpi.errors import SceneError
 from particles_mpi.particles import Array
-from particles_mpi.scene.effect import VelocityFlow, faults_in
+from particles_mpi.scene.calls import faults_in
+from particles_mpi.scene.effect import VelocityFlow
 from particles_mpi.scene.effect_files import plain_options, validated_effects
 from particles_mpi.scene.losses import Losses
 from particles_mpi.scene.model import Flags, Model, NotNegative, faults_of, python_values, was_changed, wrong_length
