@@ -30,7 +30,6 @@ class Model(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
     _running: bool = PrivateAttr(False)  # does a simulation go by it?
-    _changed: bool = PrivateAttr(False)  # has a key been set since it was validated?
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in type(self).model_fields and self._running:
@@ -39,8 +38,6 @@ class Model(BaseModel):
                 " set sim.h, sim.time, or an option of sim.effects[name]"
             )
         super().__setattr__(name, value)
-        if name in type(self).model_fields:
-            self._changed = True
 
     @field_validator("*")
     @classmethod
@@ -72,13 +69,13 @@ def python_values(value: Any) -> Any:
     return value
 
 
-def was_changed(value: Any) -> bool:
-    """Has a key of this table, or of one in it, been set since it was validated?"""
-    if isinstance(value, Model):
-        return value._changed or any(was_changed(inner) for _, inner in value)
-    if isinstance(value, dict):
-        value = list(value.values())
-    return isinstance(value, list) and any(was_changed(inner) for inner in value if isinstance(inner, Model))
+def held(value: Any) -> list[Any]:
+    """What is in a table, and in the tables within it: keys, values, and entries of lists of tables or texts."""
+    if isinstance(value, BaseModel | dict):
+        value = list(chain.from_iterable(dict(value).items()))
+    elif not (isinstance(value, list) and value and isinstance(value[0], BaseModel | dict | str)):
+        return []  # lists of numbers, too, which may be very long
+    return value + [part for inner in value for part in held(inner)]
 
 
 def sealed(value: Any) -> Any:

@@ -2,6 +2,7 @@
 
 import sys
 import tomllib
+from math import inf, prod
 from operator import is_
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -15,7 +16,7 @@ from particles_mpi.scene.calls import faults_in
 from particles_mpi.scene.effect import VelocityFlow
 from particles_mpi.scene.effect_files import plain_options, validated_effects
 from particles_mpi.scene.losses import Losses
-from particles_mpi.scene.model import Flags, Model, NotNegative, faults_of, python_values, was_changed, wrong_length
+from particles_mpi.scene.model import LARGEST_NUMBER, Flags, Model, NotNegative, faults_of, held, python_values, wrong_length
 from particles_mpi.scene.population import Population, population_faults
 
 FORMATS: list[Literal["hdf5", "vtk"]] = ["hdf5", "vtk"]
@@ -91,14 +92,14 @@ class Scene(Model):
     folder: Annotated[Path, Field(exclude=True)] = Path()
     title: str = ""
     dimension: Annotated[int, Field(ge=1, le=1000)]
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**64)] = 0
     G: NotNegative = 6.6740831e-11
     box: Box | None = None
     time: Time
     particles: list[Population]
     effects: Annotated[dict[str, Any], BeforeValidator(validated_effects)] = Field(default_factory=dict)
     output: Output = Output()
-    _validated: tuple[list[Any], list[Any]] = PrivateAttr(([], []))  # see `parts`
+    _validated: list[Any] = PrivateAttr([])  # what was `held` then
 
     def __init__(self, **tables: Any):
         try:
@@ -139,18 +140,13 @@ class Scene(Model):
 
         Numbers that were changed within a list are not looked at.
         """
-        if not was_changed(self):
-            (before, known), (now, there) = self._validated, self.parts()
-            if before == now and len(known) == len(there) and all(map(is_, known, there)):
-                return self
+        now = held(self)
+        if len(now) == len(self._validated) and all(map(is_, now, self._validated)):
+            return self
         output: Any = self.output
         if isinstance(output, Output):  # defaults follow what was changed
             output = output.model_dump(exclude_unset=True) | ({"formats": output.formats} if output.formats != FORMATS else {})
         return self.from_dict(self.to_dict() | {"output": output}, self.folder)
-
-    def parts(self) -> tuple[list[Any], list[Any]]:
-        """What a script may put others in the place of without setting a key: names of effects and formats; tables."""
-        return [*self.effects, *self.output.formats], [*self.particles, *self.effects.values()]
 
     def to_dict(self) -> dict[str, Any]:
         """The tables that give this scene back; plain lists, numbers and text."""
@@ -181,7 +177,7 @@ class Scene(Model):
     @property
     def corners(self) -> tuple[Array, Array]:
         """The lower and the upper corner of the box, (d,) each; infinite where space is open."""
-        lower, upper = (self.box.lower, self.box.upper) if self.box else ([-np.inf] * self.dimension, [np.inf] * self.dimension)
+        lower, upper = (self.box.lower, self.box.upper) if self.box else ([-inf] * self.dimension, [inf] * self.dimension)
         return np.array(lower, float), np.array(upper, float)
 
     @property
@@ -210,6 +206,9 @@ class Scene(Model):
             for k, (lo, hi) in enumerate(zip(self.box.lower, self.box.upper)):
                 if not hi > lo:
                     faults.append(f"box.upper: {hi} is not above box.lower {lo} on axis {k}")
+            volume = prod(hi - lo for lo, hi in zip(self.box.lower, self.box.upper))
+            if not faults and not 1.0 / LARGEST_NUMBER < volume < inf:
+                faults.append(f"box: its volume {volume:g} is too small or too large to count with")
         if "vtk" in self.output.formats and d > 3:
             self.output.formats.remove("vtk")
             if not self.output.formats:
@@ -223,7 +222,7 @@ class Scene(Model):
             faults.append("output.orientation: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
         if faults:
             raise ValueError("\n".join(faults))
-        self._validated, self.output._changed = self.parts(), False
+        self._validated = held(self)
         return self
 
     def effect_faults(self) -> list[str]:
