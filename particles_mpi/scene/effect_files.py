@@ -15,8 +15,8 @@ from particles_mpi.scene.effect import EffectOptions, Event, Force, VelocityFlow
 from particles_mpi.scene.model import faults_of, key_of, python_values, suggestion
 
 PACKAGE = "particles_mpi.effects"
-METHODS = {Force: "add", VelocityFlow: "advance", Event: "act"}  # what a user's effect must have
-FROM_FILES = tuple(METHODS)  # of each other kind there is one effect, which the program computes together with others
+# What a user's effect must have, by its kind. Of each other kind there is one, which the program computes together with others
+METHODS = {Force: "add", VelocityFlow: "advance", Event: "act"}
 OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with a digest of path and content
 
 
@@ -51,7 +51,7 @@ def load_effect(name: str, file: Path | None) -> ModuleType:
         options, effect = getattr(module, "Options", None), getattr(module, "Effect", None)
         if not (isinstance(options, type) and issubclass(options, EffectOptions) and options.__module__ == title):
             raise ValueError("needs a class Options(EffectOptions) of its own")
-        if not (isinstance(effect, type) and issubclass(effect, FROM_FILES)):
+        if not (isinstance(effect, type) and issubclass(effect, tuple(METHODS))):
             raise ValueError("needs a class Effect that is a Force, a VelocityFlow or an Event")
         if not isinstance(getattr(effect, "formula", None), str):
             raise ValueError("its class Effect needs a formula, in one line")
@@ -75,14 +75,10 @@ def require_same_again(options: Any) -> None:
         raise ValueError(
             f"option {keys}: {error.errors()[0]['msg']}, when read from a checkpoint: use numbers, text or lists"
         ) from None
-    other = [key for key in type(options).model_fields if not same_value(getattr(again, key), getattr(options, key))]
+    here, there = python_values(dict(options)), python_values(dict(again))  # an array is the same as a list
+    other = [key for key in here if here[key] != there[key]]
     if other:
         raise ValueError(f"option {other[0]}: is another one when read again from a checkpoint: convert it in Effect.__init__")
-
-
-def same_value(one: Any, other: Any) -> bool:
-    """Are two values of an option the same, whether a list or an array?"""
-    return bool(python_values(one) == python_values(other))
 
 
 def plain_options(options: Any) -> dict[str, Any]:

@@ -54,29 +54,23 @@ def population_faults(scene: Any, key: str, population: Population) -> list[str]
         if name not in scene.columns:
             faults.append(f"{key_of((key, name))}: unknown key{suggestion(name, [*Population.model_fields, *scene.columns])}")
             continue
-        try:
-            TypeAdapter(Vectors if scene.columns[name].vector else Scalar).validate_python(value)
-        except ValidationError as error:
-            faults.append(f"{key}.{name}: {error.errors()[0]['ctx']['error']}")
-        else:
-            faults += wrong_length(f"{key}.{name}", value, d) if scene.columns[name].vector else []
-    faults += spin_faults(scene, key, population)
+        vector = scene.columns[name].vector
+        faults += wrong_value(f"{key}.{name}", value, Vectors if vector else Scalar, d if vector else 0)
+    for name in ("spin", "moment_of_inertia"):
+        if getattr(population, name) is not None and not scene.rough:
+            faults.append(f"{key}.{name}: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
+    if population.spin is not None and scene.rough:
+        faults += wrong_value(f"{key}.spin", population.spin, *((Spin, 0) if d == 2 else (SpinVector, 3)))
     for name, effect in (("drag", "drag"), ("acceleration", "user_acceleration")):
         if getattr(population, name) is not None and effect not in scene.effects:
             faults.append(f"{key}.{name}: needs [effects.{effect}]")
     return faults
 
 
-def spin_faults(scene: Any, key: str, population: Population) -> list[str]:
-    """What is wrong with the spin and the moment of inertia of a population, each beginning with `key`."""
-    d, spin, faults = scene.dimension, population.spin, []
-    for name in ("spin", "moment_of_inertia"):
-        if getattr(population, name) is not None and not scene.rough:
-            faults.append(f"{key}.{name}: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
-    if faults or spin is None:
-        return faults
+def wrong_value(key: str, value: Any, kind: Any, components: int) -> list[str]:
+    """A fault of a value of which only the scene tells what it must be: of that kind, a vector with so many components if any."""
     try:
-        TypeAdapter(Spin if d == 2 else SpinVector).validate_python(spin)
+        TypeAdapter(kind).validate_python(value)
     except ValidationError as error:
-        return [f"{key}.spin: {error.errors()[0]['ctx']['error']}"]
-    return wrong_length(f"{key}.spin", spin, 3) if d == 3 else []
+        return [f"{key}: {error.errors()[0]['ctx']['error']}"]
+    return wrong_length(key, value, components) if components else []
