@@ -39,7 +39,7 @@ FIELDS = {
     "position": Column(vector=True, ghost=True),
     "velocity": Column(vector=True, ghost=True),
     "radius": Column(ghost=True, least=0.0),
-    "mass": Column(ghost=True, least=0.0),
+    "mass": Column(ghost=True, least=0.0, default=1.0),
     "fixed": Column("uint8", ghost=True),
     "drag": Column(ghost=True, least=0.0),
     "acceleration": Column(vector=True),

@@ -1,6 +1,7 @@
 """What particles have beside their places: radius, mass, spin, what effects ask for, and velocities."""
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -13,19 +14,15 @@ from particles_mpi.parallel.exact_sum import exact_sums
 from particles_mpi.particles import FIELDS, Array, moment_of_sphere
 from particles_mpi.scene.model import LARGEST_NUMBER
 
+OWN = ("fixed", "radius", "mass", "drag", "acceleration")  # keys of a population that are filled as they are given
+
 
 def fill_attributes(columns: Columns, share: Share) -> None:
     """radius, mass, fixed, spin, and the fields of effects. Collective."""
     scene, population, rows, arrays = columns.scene, share.population, share.rows, columns.arrays
-    given = {
-        "fixed": population.fixed,
-        "radius": 0.0 if population.radius is None else population.radius,
-        "mass": 1.0 if population.mass is None else population.mass,
-    }
-    if "drag" in arrays:
-        given["drag"] = scene.effects["drag"].rate if population.drag is None else population.drag
-    if "acceleration" in arrays:
-        given["acceleration"] = population.acceleration
+    given: dict[str, Any] = {name: getattr(population, name) for name in OWN if name in arrays}
+    if "drag" in given and population.drag is None:
+        given["drag"] = scene.effects["drag"].rate
     given |= {name: (population.model_extra or {}).get(name) for name in scene.columns}  # of effects from outside
     for name, value in given.items():
         if value is not None:

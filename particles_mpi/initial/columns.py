@@ -35,6 +35,14 @@ class Share(NamedTuple):
         return f"particles[{self.number}]"
 
 
+def is_listed(name: str, value: Any, dimension: int) -> bool:
+    """Is a value of a field a list with an entry for each particle, and not one number or vector for all of them?"""
+    if not isinstance(value, list):
+        return False
+    vector = FIELDS[name].vector or (FIELDS[name].rotation and dimension == 3)
+    return not vector or (len(value) > 0 and isinstance(value[0], list))
+
+
 class Columns:
     """The columns that are built (`arrays`, which may begin with rows that are there already), and how they are filled."""
 
@@ -43,40 +51,28 @@ class Columns:
         self.scene, self.ranks, self.faults, self.arrays, self.total = scene, ranks, faults, arrays, total
 
     def of(self, share: Share, name: str, value: Any) -> Any:
-        """This rank's part of a value of a population: of a list, a file, random numbers in a range; a number is for all."""
-        first, last = share.numbers
+        """This rank's part of a value of a population: of a list, a file, random numbers in a range; a number is for all.
+
+        Collective.
+        """
         if isinstance(value, dict) and "file" in value:
-            table = share.files[name]
-            rows = self.own_rows(table.values, share.begin + table.first)
+            table, ranks = share.files[name], self.ranks  # which ranks have read in order: rows go to who builds their particles
+            first = share.begin + table.first
+            owner = ranks.sharer(self.total, np.arange(first, first + len(table.values)))
+            rows = send_rows(ranks, {"values": table.values}, *by_destination(owner, ranks.size))[0]["values"]
             return rows if self.arrays[name].ndim == 2 else rows[:, 0]
         if isinstance(value, dict):
             key = stream_key(self.scene.seed, share.number, name)
-            part, least, most = draw(key, first, last, uniform), value["min"], value["max"]
+            part, least, most = draw(key, *share.numbers, uniform), value["min"], value["max"]
             if self.arrays[name].dtype.kind in "iu" and least == int(least) and most == int(most):  # each of them as likely
                 return np.minimum(np.floor(least + part * (most - least + 1)), most)
             return least + part * (most - least)
-        if isinstance(value, list) and (
-            not (FIELDS[name].vector or FIELDS[name].rotation) or isinstance(next(iter(value), None), list)
-        ):
-            return value[first:last]
-        return value
-
-    def own_rows(self, values: Array, first: int) -> Array:
-        """Rows of a file sent to the ranks that build their particles; returns this rank's, in order. Collective.
-
-        The ranks have read the rows in order: `values` (n, columns) are those of this rank, for the particles with the numbers
-        from `first` on, counted over all populations that are built.
-        """
-        owner = self.ranks.sharer(self.total, np.arange(first, first + len(values)))
-        return send_rows(self.ranks, {"values": values}, *by_destination(owner, self.ranks.size))[0]["values"]
+        return value[slice(*share.numbers)] if is_listed(name, value, self.scene.dimension) else value
 
     def fill(self, share: Share, name: str, value: Any) -> None:
         """A field of a population from a number, a list, a file or a range. Collective."""
         mine, own = self.of(share, name, value), self.arrays[name][share.rows]
-        try:
-            values = np.asarray(mine, float)
-        except OverflowError:
-            values = np.array(LARGEST_NUMBER * 2.0)
+        values = np.asarray(mine, float)
         if own.dtype.kind in "iu":
             least, most = max(np.iinfo(own.dtype).min, -LARGEST_WHOLE), min(np.iinfo(own.dtype).max, LARGEST_WHOLE)
             whole = (values >= least) & (values <= most) & (values == np.rint(values))

@@ -1,11 +1,6 @@
-"""The particles at the start of a scene. Each rank makes a share of ids; the result is the same on any number of ranks.
-
-Random numbers are keyed by (seed, population, quantity, number of the particle), so that changing the radii of one population
-leaves its velocities, and all other populations, as they were.
-"""
+"""The particles at the start of a scene. Each rank makes a share of ids; the result is the same on any number of ranks."""
 
 from collections.abc import Mapping
-from math import inf
 from typing import Any
 
 import numpy as np
@@ -14,7 +9,7 @@ from pydantic import ValidationError
 from particles_mpi.errors import SceneError
 from particles_mpi.initial.attributes import fill_attributes, fill_velocities
 from particles_mpi.initial.checks import check_start
-from particles_mpi.initial.columns import Columns, Share
+from particles_mpi.initial.columns import Columns, Share, is_listed
 from particles_mpi.initial.faults import Faults
 from particles_mpi.initial.places import fill_places
 from particles_mpi.initial.room import room_of
@@ -25,11 +20,9 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import BUILT_IN, Array, Particles, default_values
 from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.memory import memory_needed, memory_there
-from particles_mpi.scene.model import LARGEST_NUMBER, faults_of, python_values
+from particles_mpi.scene.model import faults_of, python_values
 from particles_mpi.scene.population import Population, population_faults
 from particles_mpi.scene.schema import Scene
-
-PER_PARTICLE = ("position", "velocity", "radius", "mass", "fixed", "drag", "acceleration", "spin", "moment_of_inertia")
 
 
 def populate(scene: Scene, ranks: Communicator | None = None) -> tuple[Particles, list[str]]:
@@ -71,13 +64,6 @@ def add_population(
     return particles, warnings
 
 
-def is_listed(scene: Scene, name: str, value: Any) -> bool:
-    """Is the value of a key of `[[particles]]` a list with an entry for each particle, and not one vector for all of them?"""
-    vectors = {"velocity", "acceleration", *(["spin"] if scene.dimension == 3 else [])}
-    one = name in vectors or (name in scene.columns and scene.columns[name].vector)
-    return isinstance(value, list) and not (one and not (value and isinstance(value[0], list)))
-
-
 class Populator:
     """Builds populations (by number) one quantity after the other, behind those that are `there`, with ids from `next_id` on.
 
@@ -99,12 +85,11 @@ class Populator:
 
     def populate(self) -> tuple[Particles, list[str]]:
         """(the particles that are there and behind them this rank's part of the new ones; warnings). Collective."""
-        self.check_box()
-        self.populations = {number: self.with_columns(number, some) for number, some in self.populations.items()}
+        fields = fields_of(self.scene)
+        self.populations = {number: self.with_columns(number, some, fields) for number, some in self.populations.items()}
         files: list[dict[str, Table]] = [{} for _ in self.populations]
         counts = [self.count_of(number, p, read) for (number, p), read in zip(self.populations.items(), files, strict=True)]
         self.faults.stop()
-        fields = fields_of(self.scene)
         self.check_memory(counts, fields)
         self.total = sum(counts)
         self.first, self.last = self.ranks.share(self.total)
@@ -148,16 +133,6 @@ class Populator:
         arrays["id"][self.before :] = self.next_id + np.arange(self.first, self.last)
         return arrays
 
-    def check_box(self) -> None:
-        """Add faults for a seed, a corner of the box or a volume of it that is too large, or too small, to count with."""
-        box = self.scene.box
-        if self.scene.seed >= 2**64:
-            self.faults.add("seed: must be below 2^64")
-        if box is not None and max(map(abs, box.lower + box.upper)) > LARGEST_NUMBER:
-            self.faults.add(f"box: a number is beyond {LARGEST_NUMBER:g}")
-        elif box is not None and not 1.0 / LARGEST_NUMBER < (volume := np.subtract(box.upper, box.lower).prod()) < inf:
-            self.faults.add(f"box: its volume {volume:g} is too small or too large to count with")
-
     def check_memory(self, counts: list[int], fields: list[str]) -> None:
         """SceneError if the particles need more memory than there is, or a rank more rows than an int32 counts. Collective.
 
@@ -177,16 +152,14 @@ class Populator:
                 + (f"; more than {limits.INT32_MAX} particles on a rank: use more ranks" if uncounted else "")
             )
 
-    def with_columns(self, number: int, population: Population) -> Population:
+    def with_columns(self, number: int, population: Population, fields: list[str]) -> Population:
         """A file of places whose header names more columns gives those too, unless the scene says otherwise. Collective."""
         place = population.position
         if not (isinstance(place, dict) and "file" in place):
             return population
-        scene = self.scene
-        said, there = population.model_fields_set, ["position", "velocity", "radius", "mass", "fixed", *scene.columns]
-        there += ["drag"] * ("drag" in scene.effects) + ["acceleration"] * ("user_acceleration" in scene.effects)
-        there += ["spin", "moment_of_inertia"] * scene.rough
-        given, unread = columns_in(self.ranks, scene.folder / place["file"], scene.dimension, there)
+        scene, said = self.scene, population.model_fields_set
+        possible = [name for name in fields if name in Population.model_fields or name in scene.columns]
+        given, unread = columns_in(self.ranks, scene.folder / place["file"], scene.dimension, possible)
         if unread:
             self.notes.append(f"particles[{number}].position: {unread}")
         for name in given:
@@ -197,9 +170,8 @@ class Populator:
 
     def count_of(self, number: int, population: Population, files: dict[str, Table]) -> int:
         """Particles of a population: `count`, or the length of its lists and `files`, which it reads, and which must agree."""
-        given = {name: getattr(population, name) for name in PER_PARTICLE} | (population.model_extra or {})
         lengths = {} if population.count is None else {"count": population.count}
-        for name, value in given.items():
+        for name, value in population:
             if isinstance(value, dict) and "file" in value:
                 table = read_table(self.ranks, self.scene.folder / value["file"], name, self.scene.dimension)
                 if isinstance(table, str):
@@ -207,7 +179,7 @@ class Populator:
                     return 0
                 files[name] = table
                 lengths[name] = table.total
-            elif is_listed(self.scene, name, value):
+            elif is_listed(name, value, self.scene.dimension):
                 lengths[name] = len(value)
         if not lengths:
             self.faults.add(f"particles[{number}].count: missing")

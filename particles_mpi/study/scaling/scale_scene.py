@@ -3,7 +3,7 @@
 from math import prod
 
 from particles_mpi.errors import SceneError
-from particles_mpi.initial.populate import is_listed
+from particles_mpi.initial.columns import is_listed
 from particles_mpi.scene.schema import Scene
 
 
@@ -37,7 +37,7 @@ def unable_to_grow(scene: Scene) -> list[str]:
     faults = []
     for number, population in enumerate(scene.to_dict()["particles"]):
         for name, value in population.items():
-            if is_listed(scene, name, value):
+            if is_listed(name, value, scene.dimension):
                 faults.append(f"particles[{number}].{name}: is listed, particle by particle")
             if isinstance(value, dict) and "file" in value:
                 faults.append(f"particles[{number}].{name}: comes from a file")
