@@ -74,26 +74,21 @@ class RandomAddition:
         return first, own - first, Halo(self.ranks, near, counts, arriving, own - first, 0)
 
     def place(self, key: int, number: Array, radius: Array) -> tuple[Array, int]:
-        """(positions (n, d) of the spheres with these numbers, ascending, and radii (n,); how many on all ranks have none).
+        """(positions (n, d) of the spheres with these numbers, in a row, and radii (n,); how many on all ranks have none).
 
         `key`: of their random numbers. Large ones come first, by classes of radius; lower ranks have lower numbers.
         """
         self.key = np.array([key >> (32 * k) & int(LOW_HALF) for k in range(2)], np.uint64)
-        x, missing = np.zeros((len(number), self.dimension)), 0
-        kind = class_of(radius, self.largest)
+        self.found: list[dict[str, Array] | slice] = []  # numbers and places, or rows of the grid that have them
+        kind, missing = class_of(radius, self.largest), 0
         for k in range(CLASSES):
             rows = np.flatnonzero(kind == k)
             total = self.ranks.total(len(rows))[0]
-            if total and not missing:
-                places, missing = self.place_class(number[rows], radius[rows], total)
-                x = with_rows(x, rows, places)
-            elif total:
-                missing += total
-        return x, missing
+            missing += total if missing else self.place_class(number[rows], radius[rows], total)
+        return self.to_their_numbers(number), missing
 
-    def place_class(self, number: Array, radius: Array, total: int) -> tuple[Array, int]:
-        """`place` for spheres of one class, of which there are `total` on all ranks."""
-        self.found: list[dict[str, Array] | slice] = []  # numbers and places, or rows of the grid that have them
+    def place_class(self, number: Array, radius: Array, total: int) -> int:
+        """Find places for the spheres of one class, of which there are `total` on all ranks; returns how many have none."""
         rows, shared = {"id": number, "radius": radius}, False
         left, throws, at_once, in_vain, tries = total, 0, 1, 0, 0
         while left and in_vain < MOST_TRIES and tries < 50 * MOST_TRIES + 200 * total:
@@ -109,10 +104,10 @@ class RandomAddition:
                 at_once = max(1, min(2 * at_once if 2 * now > left else at_once, POINTS_AT_ONCE // max(now, 1)))
             left = now
         self.tries = max(tries, MOST_TRIES)
-        return self.to_their_numbers(number), left
+        return left
 
     def to_their_numbers(self, number: Array) -> Array:
-        """The places that were found, to whoever asked for them: x (n, d) of the spheres with these numbers."""
+        """The places that were found, to whoever asked for them: x (n, d) of the spheres with these numbers; 0 without one."""
         columns = {"id": np.empty(0, np.int64), "position": np.empty((0, self.dimension))}
         in_grid = {"id": self.grid.id, "position": self.grid.x}
         found = {
@@ -122,9 +117,9 @@ class RandomAddition:
         if self.ranks.size > 1:
             owner = holders(self.ranks, number, found["id"])
             found, _ = send_rows(self.ranks, found, *by_destination(owner, self.ranks.size))
-        order = np.argsort(found["id"])
-        rows = np.searchsorted(number, found["id"][order]) if len(order) < len(number) else np.arange(len(number))
-        return with_rows(np.zeros((len(number), self.dimension)), rows, found["position"][order])
+        first, x = number[0] if len(number) else 0, np.zeros((len(number), self.dimension))
+        x[found["id"] - first] = found["position"]
+        return x
 
     def throw_all(self, rows: dict[str, Array], throw: int, left: int) -> dict[str, Array]:
         """Throw each of the `left` spheres of all ranks once, at most SPHERES_AT_ONCE together; returns those without a place."""
@@ -183,14 +178,6 @@ class RandomAddition:
             stays &= np.isin(np.arange(len(x)), near)
         self.grid.keep(first, stays)
         return rows_of(rows, np.setdiff1d(np.arange(n), placed % n))
-
-
-def with_rows(x: Array, rows: Array, values: Array) -> Array:
-    """x (n, d) with `values` in `rows` (ascending); `values` itself if these are all rows."""
-    if len(rows) == len(x):
-        return values
-    x[rows] = values
-    return x
 
 
 @kernel
