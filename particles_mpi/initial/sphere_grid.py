@@ -74,8 +74,8 @@ class SphereGrid:
 
         `rows` (n,): those of these spheres, if they are in the grid themselves.
         """
-        me, nobody = np.full(len(x), -1) if rows is None else rows, np.empty(0, np.int8)
-        return np.asarray(open_points(x, radius, me, self.x, self.radius, self.id, self.n, nobody, margin, self.grids))
+        me = np.full(len(x), -1) if rows is None else rows
+        return np.asarray(open_points(x, radius, me, self.x, self.radius, self.id, self.n, margin, self.grids))
 
     def first_come(self, x: Array, radius: Array, who: Array, count: int, margin: float) -> tuple[int, Array]:
         """Put spheres at x (n, d), one after the other; those that overlap, or whose `who` (n,) has a place, are left out.
@@ -83,9 +83,8 @@ class SphereGrid:
         Returns (first row, which stay): they are rows from there on until `keep` is called.
         """
         first, last = self.append(x, radius, np.full(len(x), -1), enter=False)
-        nobody, placed = np.empty(0, np.int8), np.zeros(count, np.bool_)
-        stays = first_come(first, last, who, placed, self.x, self.radius, self.id, nobody, margin, self.grids)
-        return first, stays
+        placed = np.zeros(count, np.bool_)
+        return first, first_come(first, last, who, placed, self.x, self.radius, self.id, margin, self.grids)
 
 
 @lean_inner
@@ -142,21 +141,21 @@ def decide(rows, x, radius, ids, first, status, margin, grid):
 
 
 @kernel
-def open_points(y, r, me, x, radius, ids, n, status, margin, grid):
+def open_points(y, r, me, x, radius, ids, n, margin, grid):
     """At which of the points y (m, d) would a sphere with radius r (m,) overlap none of the n rows but its own, `me` (m,)?"""
-    free = np.empty(len(y), np.bool_)
+    free, undecided = np.empty(len(y), np.bool_), np.empty(0, np.int8)
     for i in range(len(y)):
-        free[i] = verdict(y[i], r[i], me[i], x, radius, ids, n, status, margin, grid) == FREE
+        free[i] = verdict(y[i], r[i], me[i], x, radius, ids, n, undecided, margin, grid) == FREE
     return free
 
 
 @kernel
-def first_come(first, last, who, placed, x, radius, ids, status, margin, grid):
+def first_come(first, last, who, placed, x, radius, ids, margin, grid):
     """Enter those of the rows first ... last - 1 that overlap nobody, unless their `who` is `placed`; which of them (bool)."""
-    stays = np.zeros(last - first, np.bool_)
+    stays, undecided = np.zeros(last - first, np.bool_), np.empty(0, np.int8)
     for i in range(first, last):
         sphere = who[i - first]
-        if not placed[sphere] and verdict(x[i], radius[i], i, x, radius, ids, last, status, margin, grid) == FREE:
+        if not placed[sphere] and verdict(x[i], radius[i], i, x, radius, ids, last, undecided, margin, grid) == FREE:
             enter_spheres(x, i, i + 1, grid)
             stays[i - first] = placed[sphere] = True
     return stays
