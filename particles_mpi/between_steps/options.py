@@ -25,9 +25,9 @@ class Part(Mapping[str, Any]):
         vars(self).update(_table=table)
 
     def __getattr__(self, key: str) -> Any:
-        if "_table" not in vars(self):  # while it is copied
+        if key == "_table":  # while it is copied
             raise AttributeError(key)
-        return frozen(getattr(vars(self)["_table"], key))
+        return frozen(getattr(self._table, key))
 
     def __getitem__(self, key: str) -> Any:
         return frozen(dict(self._table)[key])

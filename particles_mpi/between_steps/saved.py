@@ -47,7 +47,7 @@ class Saved(Membership):
         sim = cls.__new__(cls)
         sim.begin(scene, ranks, rows, metadata["next_id"])
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
-        sim.clock_start = metadata["moment"][0], metadata["moment"][1]
+        sim.clock_start = tuple(metadata["moment"])
         sim.observed = {reader: list(since) for reader, since in metadata["observed"].items()}
         if sim.persistent:
             sim.persistent.history.restore(contacts)
@@ -148,13 +148,12 @@ class Saved(Membership):
         if not ranks.all(self.scene == other.scene and files and clocks[0] == clocks[1]):
             return False
         if ranks.any(self.ranks.size != other.ranks.size):  # particles that are divided in another way
-            here, there = (Particles(self.scene.dimension, allgather_rows(sim.ranks, sim.rows.arrays)) for sim in (self, other))
-            return ranks.all(snapshot.same(*(one.select(np.argsort(one.id)) for one in (here, there))))
+            return ranks.all(snapshot.same(*(snapshot.gather_all(sim.ranks, sim.rows) for sim in (self, other))))
         if not ranks.all(self.ids == other.ids):
             return False
-        mine, theirs = (in_id_order(sim.ranks, sim.rows.arrays, sim.ids, sim.ranks.size) for sim in (self, other))
         d = self.scene.dimension
-        return ranks.all(snapshot.same(Particles(d, mine), Particles(d, theirs)))
+        shares = (Particles(d, in_id_order(sim.ranks, sim.rows.arrays, sim.ids, sim.ranks.size)) for sim in (self, other))
+        return ranks.all(snapshot.same(*shares))
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -184,11 +184,10 @@ def value_limits(scene: Scene, particles: Particles, values: dict[str, Array], h
 
 def divided_masses(scene: Scene, fixed: Array) -> dict[str, Array]:
     """By effect that divides by masses: does it by that of each particle (n,)? Friction by all, others by those not `fixed`."""
-    classes = {name: options.effect_class() for name, options in scene.effects.items()}
     return {
-        name: np.full(len(fixed), True) if issubclass(effect, ConstantFriction) else fixed == 0
-        for name, effect in classes.items()
-        if scene.effects[name].divides_by_mass
+        name: np.full(len(fixed), True) if issubclass(options.effect_class(), ConstantFriction) else fixed == 0
+        for name, options in scene.effects.items()
+        if options.divides_by_mass
     }
 
 

@@ -150,9 +150,9 @@ class Scene(Model):
 
     def to_dict(self) -> dict[str, Any]:
         """The tables that give this scene back; plain lists, numbers and text."""
-        plain = dict[str, Any](mode="json", exclude_none=True)
-        plain |= {"warnings": False, "fallback": python_values}  # for values that a script has set, see `checked`
-        tables = self.model_dump(**plain, exclude={"effects"})
+        tables = self.model_dump(  # also of what a script has set, see `checked`
+            mode="json", exclude_none=True, exclude={"effects"}, warnings=False, fallback=python_values
+        )
         effects = {
             name: options if isinstance(options, dict) else plain_options(options) for name, options in self.effects.items()
         }
