@@ -198,9 +198,9 @@ class Simulation(Saved):
         """
         counted = self.counted()
         events = self.totals["collisions"] + self.totals["wall_hits"]
-        sums = self.ranks.allreduce_sum(np.array([counted["interactions"], counted["pair_tests"], events], np.int64)).tolist()
+        interactions, pair_tests, events = self.ranks.total(counted["interactions"], counted["pair_tests"], events)
         forces = max((self.calls.get(name, 0) for name in self.forces), default=0)
-        return {"forces": forces, "interactions": sums[0], "pair_tests": sums[1], "events": sums[2]}
+        return {"forces": forces, "interactions": interactions, "pair_tests": pair_tests, "events": events}
 
     def remarks(self) -> list[str]:
         """What happened that a user should know of, a line each. Collective."""

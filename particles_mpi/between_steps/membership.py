@@ -25,14 +25,14 @@ class Membership(State):
         Ids go on from the largest there ever was; attached fields may be given too, and are 0 if not. Raises SceneError, as at
         the start, for particles that cannot be: overlapping others, outside, ...
         """
-        given = dict(population) if isinstance(population, Mapping) else population
-        same_on_all(self.ranks, {"add": python_values(given)})
-        if not isinstance(population, Mapping):
+        given = python_values(population)
+        same_on_all(self.ranks, {"add": given})
+        if not isinstance(given, dict):
             raise TypeError(f"add: takes the keys of one [[particles]] table by name, and not {population!r:.60}")
         self.take_changes()
         number = len(self.scene.particles) + self.additions
         with raising_together(self.ranks):
-            rows, warnings = add_population(self.scene, self.ranks, self.rows, population, self.next_id, number)
+            rows, warnings = add_population(self.scene, self.ranks, self.rows, given, self.next_id, number)
         self.warnings += warnings
         added = self.ranks.total(len(rows) - len(self.rows))[0]
         self.rows.replace(rows.arrays)

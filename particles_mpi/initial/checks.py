@@ -140,8 +140,8 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
     if pushed:
         what = f"forces move {pushed} by more than a radius in a step of {dt:g}"
         warnings.append(f"time.step: {what}: contacts will be coarse, and piles slow; better is a step <= {rounded_down(fine):g}")
-    largest = [radius.max(initial=0.0), radius[particles.fixed == 0].max(initial=0.0), speed.max(initial=0.0)]
-    widest, movable, fastest = ranks.allreduce_max(np.array(largest)).tolist()
+    movable_radius = radius[particles.fixed == 0]
+    widest, movable, fastest = ranks.largest(*(column.max(initial=0.0) for column in (radius, movable_radius, speed)))
     if event:  # a sphere must not meet two images of another
         least = 2.0 * (widest + movable) * ROOM_FOR_SKINS
         need = f"two contact distances and a thousandth, {least:.5g}"

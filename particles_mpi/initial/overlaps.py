@@ -121,7 +121,8 @@ def push_apart(ranks: Communicator, particles: Particles, room: Room) -> list[st
     particles.position[...] = x[np.searchsorted(everyone.id, particles.id)]
     if not len(first):
         return []
-    left = f"{named_pairs(everyone.id[first], everyone.id[second])} still overlap after {MOST_SWEEPS} sweeps"
+    pairs = listed_pairs(Communicator.alone(), everyone.id[first], everyone.id[second])
+    left = f"{pairs} still overlap after {MOST_SWEEPS} sweeps"
     return [f"effects.collisions: {left} (deepest by {depth.max():.3g})"]
 
 
@@ -146,18 +147,13 @@ def crowded_on_line(x: Array, radius: Array, w: Array, line: tuple[Array, Array,
     return first[deep], second[deep], depth[deep]
 
 
-def named_pairs(first: Array, second: Array, total: int | None = None) -> str:
-    """ "pairs 0-1 and 3-4"."""
-    return listed([f"{i}-{j}" for i, j in zip(first.tolist(), second.tolist())], "pair", total)
-
-
 def listed_pairs(ranks: Communicator, first: Array, second: Array) -> str:
     """ "pairs 0-1 and 3-4" of any rank, the lowest ids first; "" if there are none. Collective."""
     total = ranks.total(len(first))[0]
     order = np.lexsort((second, first))[:MOST_NAMED]
     mine = list(zip(first[order].tolist(), second[order].tolist()))
-    lowest = np.array(sorted(chain.from_iterable(ranks.allgather(mine)))[:MOST_NAMED])
-    return named_pairs(lowest[:, 0], lowest[:, 1], total) if total else ""
+    lowest = sorted(chain.from_iterable(ranks.allgather(mine)))
+    return listed([f"{i}-{j}" for i, j in lowest], "pair", total) if total else ""
 
 
 @kernel

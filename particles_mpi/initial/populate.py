@@ -1,6 +1,5 @@
 """The particles at the start of a scene. Each rank makes a share of ids; the result is the same on any number of ranks."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import BUILT_IN, Array, Particles, default_values
 from particles_mpi.scene.active import fields_of
 from particles_mpi.scene.memory import memory_needed, memory_there
-from particles_mpi.scene.model import faults_of, python_values
+from particles_mpi.scene.model import faults_of
 from particles_mpi.scene.population import Population, population_faults
 from particles_mpi.scene.schema import Scene
 
@@ -35,15 +34,15 @@ def populate(scene: Scene, ranks: Communicator | None = None) -> tuple[Particles
 
 
 def add_population(
-    scene: Scene, ranks: Communicator, there: Particles, table: Mapping[str, Any], next_id: int, number: int
+    scene: Scene, ranks: Communicator, there: Particles, table: dict[str, Any], next_id: int, number: int
 ) -> tuple[Particles, list[str]]:
     """(this rank's particles that are `there`, and behind them its share of one more population; warnings). Collective.
 
-    `table`: the keys of a `[[particles]]` table, whose values may be arrays, and fields of the user's own; `number` tells this
-    population from others, in messages and in random numbers.
+    `table`: the keys of a `[[particles]]` table, and fields of the user's own; `number` tells this population from others, in
+    messages and in random numbers.
     """
     key = f"particles[{number}]"
-    tables = python_values(dict(table))
+    tables = dict(table)
     own = {name: tables.pop(name) for name in there.arrays.keys() - set(fields_of(scene)) - set(BUILT_IN) if name in tables}
     try:
         population = Population.model_validate(tables)

@@ -20,7 +20,7 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator, steps: int) ->
 
     `particles`: this rank's; `steps`: the number of the step that the run ends with.
     """
-    total, fixed = (int(n) for n in ranks.allreduce_sum(np.array([len(particles), np.count_nonzero(particles.fixed)])))
+    total, fixed = ranks.total(len(particles), np.count_nonzero(particles.fixed))
     runs, active = [], scene.active
     for name, options in active.items():
         effect, how = options.effect_class(), options.described(scene, total)
@@ -73,8 +73,7 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
     h, active, lines = scene.time.step, scene.active, list[str]()
     drag = particles["drag"] if "drag" in particles.arrays else np.empty(0)
     square, smallest = (particles.velocity**2).sum(axis=1), particles.radius[particles.fixed == 0].min(initial=inf)
-    extremes = np.array([square.max(initial=0.0), drag.max(initial=0.0), -smallest])
-    largest_square, k, minus_radius = ranks.allreduce_max(extremes).tolist()
+    largest_square, k, minus_radius = ranks.largest(square.max(initial=0.0), drag.max(initial=0.0), -smallest)
     speed, radius = sqrt(largest_square), -minus_radius  # of the fastest, and of the smallest that moves, if any does
     if "collisions" in active and 0.0 < radius < inf and speed > 0.0:
         share = speed * h / (2.0 * radius)
