@@ -71,11 +71,13 @@ def python_values(value: Any) -> Any:
 
 def held(value: Any) -> list[Any]:
     """What is in a table, and in the tables within it: keys, values, and entries of lists of tables or texts."""
-    if isinstance(value, BaseModel | dict):
-        value = list(chain.from_iterable(dict(value).items()))
-    elif not (isinstance(value, list) and value and isinstance(value[0], BaseModel | dict | str)):
-        return []  # lists of numbers, too, which may be very long
-    return value + [part for inner in value for part in held(inner)]
+    if isinstance(value, BaseModel):
+        parts = [inner for _, inner in value]
+    elif isinstance(value, dict):
+        parts = [*value, *value.values()]
+    else:  # of a list of numbers, which may be very long, nothing
+        parts = value if value and isinstance(value[0], BaseModel | dict | str) else []
+    return parts + [part for inner in parts if isinstance(inner, list | dict | BaseModel) for part in held(inner)]
 
 
 def sealed(value: Any) -> Any:

@@ -248,5 +248,5 @@ class Scene(Model):
     @property
     def columns(self) -> dict[str, Any]:
         """The per-particle columns that effects from outside the program bring, by name."""
-        outside = [options.effect_class().needs.columns for options in self.effects.values() if options.file]
+        outside = [options.effect_class().needs.columns for options in self.outside.values()]
         return {name: column for columns in outside for name, column in columns.items()}
