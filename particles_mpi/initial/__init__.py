@@ -4,7 +4,7 @@ Each rank makes a block of ids, and the result does not depend on how many ranks
 
 - `populate`: one quantity after the other, population by population; `columns`: a rank's share of a population, in its columns
 - `table_file`: columns of CSV files, of which each rank reads a part
-- `attributes`: radius, mass, spin and velocities; `places`: where particles are
+- `quantities`: radius, mass, spin, places and velocities
 - `random_numbers`: by (seed, population, quantity, number of the particle); `plummer`: places and speeds of a star cluster
 - `lattices`: places by a formula of the number; `room`: the space that they have
 - `random_addition`: random places without overlap; each rank judges those in its part of space

@@ -6,11 +6,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from particles_mpi.errors import SceneError
-from particles_mpi.initial.attributes import fill_attributes, fill_velocities
 from particles_mpi.initial.checks import check_start
 from particles_mpi.initial.columns import Columns, Share, is_listed
 from particles_mpi.initial.faults import Faults
-from particles_mpi.initial.places import fill_places
+from particles_mpi.initial.quantities import fill_attributes, fill_places, fill_velocities
 from particles_mpi.initial.room import room_of
 from particles_mpi.initial.table_file import Table, columns_in, read_table
 from particles_mpi.kernels import limits
