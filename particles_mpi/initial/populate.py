@@ -155,16 +155,15 @@ class Populator:
         place = population.position
         if not (isinstance(place, dict) and "file" in place):
             return population
-        scene, said = self.scene, population.model_fields_set
+        scene, said = self.scene, {name: value for name, value in population if value is not None}
         possible = [name for name in fields if name in Population.model_fields or name in scene.columns]
         given, unread = columns_in(self.ranks, scene.folder / place["file"], scene.dimension, possible)
         if unread:
             self.notes.append(f"particles[{number}].position: {unread}")
         for name in given:
-            if name in said and getattr(population, name) not in (None, place):
+            if said.get(name, place) != place:
                 self.notes.append(f"particles[{number}].{name}: that of the scene is taken, and not that in {place['file']}")
-        taken = [name for name in given if name not in said or getattr(population, name) is None]
-        return population.model_copy(update=dict.fromkeys(taken, place))
+        return population.model_copy(update={name: place for name in given if name not in said})
 
     def count_of(self, number: int, population: Population, files: dict[str, Table]) -> int:
         """Particles of a population: `count`, or the length of its lists and `files`, which it reads, and which must agree."""
