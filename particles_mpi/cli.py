@@ -85,7 +85,7 @@ def run(
         resume = checkpoint_to_continue(folder, Communicator(), described.to_dict())
         overwrite = resume is None  # a run that was ended before its first checkpoint
     if resume:
-        files = {name: options.file for name, options in described.effects.items() if options.file}
+        files = {name: options.file for name, options in described.outside.items()}
         sim = Simulation.resume(resume, files=files)
         other = [f"{scene}: {key}: not as in {resume}, which goes on with the scene that it began with"
                  for key in changed_keys(sim.scene.to_dict(), described.to_dict())]  # fmt: skip

@@ -15,7 +15,6 @@ from particles_mpi.scene.population import Population
 from particles_mpi.scene.schema import Scene
 
 LARGEST_WHOLE = 2.0**53 - 1.0  # up to which no two whole numbers are the same float64
-Numbers = tuple[int, int]  # (first, last + 1) of a rank's particles of a population, counted from its first one
 
 
 class Share(NamedTuple):
@@ -25,7 +24,7 @@ class Share(NamedTuple):
     population: Population
     total: int  # particles of the population, on all ranks
     begin: int  # particles of the populations built before it
-    numbers: Numbers
+    numbers: tuple[int, int]  # (first, last + 1) of this rank's, counted from the first of the population
     rows: slice
     files: dict[str, Table]  # by the key whose values they hold
 
