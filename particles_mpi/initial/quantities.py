@@ -26,9 +26,9 @@ def fill_attributes(columns: Columns, share: Share) -> None:
     """radius, mass, fixed, spin, and the fields of effects. Collective."""
     scene, population, rows, arrays = columns.scene, share.population, share.rows, columns.arrays
     given: dict[str, Any] = {name: getattr(population, name) for name in AS_GIVEN if name in arrays}
-    if "drag" in given and population.drag is None:
+    if "drag" in given and population.drag is None and "drag" in scene.effects:
         given["drag"] = scene.effects["drag"].rate
-    given |= {name: (population.model_extra or {}).get(name) for name in scene.columns}  # of effects from outside
+    given |= population.model_extra or {}  # columns of effects from outside
     for name, value in given.items():
         if value is not None:
             columns.fill(share, name, value)

@@ -62,7 +62,7 @@ def population_faults(scene: Any, key: str, population: Population) -> list[str]
     if population.spin is not None and scene.rough:
         faults += wrong_value(f"{key}.spin", population.spin, *((Spin, 0) if d == 2 else (SpinVector, 3)))
     for name, effect in (("drag", "drag"), ("acceleration", "user_acceleration")):
-        if getattr(population, name) is not None and effect not in scene.effects:
+        if getattr(population, name) is not None and effect not in scene.effects and name not in scene.columns:
             faults.append(f"{key}.{name}: needs [effects.{effect}]")
     return faults
 

@@ -206,6 +206,25 @@ def test_a_column_has_no_name_that_means_something_else(tmp_path, name):
         sim(write(tmp_path, f"needs = Needs(columns={{'{name}': Column()}})\ndef add(s, p, a): pass"))
 
 
+def test_an_effect_may_need_a_column_of_the_program(tmp_path):
+    """It has what the population or the program's own effect gives, with that effect and without."""
+    names = "drag", "radius", "mass", "acceleration"
+    columns = f"{{name: FIELDS[name] for name in {names}}}"
+    file = write(
+        tmp_path,
+        f"needs = Needs(columns={columns})\ndef add(s, p, a): a -= 1.0",
+        head="from particles_mpi.particles import FIELDS",
+    )
+    two = [{"position": [[1.0, 0.0], [0.0, 2.0]], "radius": [0.1, 0.2], "mass": 3.0}]
+    for given, effects, drag in (
+        ({}, {"drag": {"rate": 0.5}}, [0.5, 0.5]),
+        ({"drag": [0.1, 0.2]}, {}, [0.1, 0.2]),
+        ({}, {}, [0, 0]),
+    ):
+        rows = sim(file, effects=effects, particles=[two[0] | given]).rows
+        assert rows["drag"].tolist() == drag and rows.radius.tolist() == [0.1, 0.2] and rows.mass.tolist() == [3.0, 3.0]
+
+
 @pytest.mark.parametrize("column", ["'int64', default=0.5", "'uint8', default=-1", "default='1'", "default=-1.0, least=0.0"])
 def test_a_default_is_a_value_of_its_column(tmp_path, column):
     with pytest.raises(SceneError, match="its default"):
