@@ -42,11 +42,11 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
     row_size = row_bytes(*arrays.values())
     words_out, words_in = (-(row_size * numbers.astype(np.int64) // -WORD) for numbers in (counts, arriving))
     outgoing, incoming = np.empty(words_out.sum()), np.empty(words_in.sum())
+    messages = {p: outgoing[first:last] for p, first, last in parts(words_out)}
     places = {p: incoming[first:last] for p, first, last in parts(words_in)}
     requests = [one for p, place in places.items() if p != me for one in receive(ranks, p, place)]
-    first_words = starts(words_out)
     for p, begin, end in parts(counts):
-        message = places[me] if p == me else outgoing[first_words[p] : first_words[p] + words_out[p]]
+        message = places[me] if p == me else messages[p]
         for name, part in unpacked(message, end - begin, arrays):
             arrays[name].take(rows[begin:end], axis=0, out=part, mode="clip")
         if p != me:
@@ -55,11 +55,7 @@ def send_rows(ranks: Communicator, arrays: dict[str, Array], rows: Array, counts
     if len(arrays) == 1 and row_size % WORD == 0:  # the messages are the column
         ((name, column),) = arrays.items()
         return {name: incoming.view(column.dtype).reshape(int(arriving.sum()), *column.shape[1:])}, arriving
-    arrived = {name: np.empty((int(arriving.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
-    for p, begin, end in parts(arriving):
-        for name, part in unpacked(places[p], end - begin, arrays):
-            arrived[name][begin:end] = part
-    return arrived, arriving
+    return joined(places, arriving, arrays), arriving
 
 
 def send(ranks: Communicator, to: int, message: Array, size: int) -> list[MPI.Request]:
@@ -87,26 +83,21 @@ def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, A
     n = len(next(iter(arrays.values())))
     counts = ranks.allgather_array(np.array(n))
     require_countable(int(counts.sum()), "rows of all ranks")
-    row_size = row_bytes(*arrays.values())
-    words = -(row_size * counts // -WORD)
-    outgoing, incoming = np.empty(int(words[ranks.rank]), np.int64), np.empty(int(words.sum()), np.int64)
-    for name, part in unpacked(outgoing, n, arrays):
+    words = -(row_bytes(*arrays.values()) * counts // -WORD)
+    everyone, first_words = np.empty(int(words.sum()), np.int64), starts(words)
+    messages = {p: everyone[first:last] for p, first, last in parts(words)}
+    for name, part in unpacked(everyone[first_words[ranks.rank] :], n, arrays):
         part[:] = arrays[name]
-    if len(incoming) <= MOST_WORDS:
-        ranks.comm.Allgatherv(outgoing, [incoming, (words, starts(words))])
+    if len(everyone) <= MOST_WORDS:
+        ranks.comm.Allgatherv(MPI.IN_PLACE, [everyone, (words, first_words)])
     else:
-        incoming[starts(words)[ranks.rank] :][: len(outgoing)] = outgoing
-        for p, first, last in parts(words):
-            for piece in in_pieces(incoming[first:last]):
+        for p, message in messages.items():
+            for piece in in_pieces(message):
                 ranks.comm.Bcast(piece, root=p)
     ranks.messages += ranks.size - 1
-    ranks.bytes["gathers"] += outgoing.nbytes * (ranks.size - 1)
+    ranks.bytes["gathers"] += WORD * int(words[ranks.rank]) * (ranks.size - 1)
     ranks.rows += int(counts.sum()) - n
-    every = {name: np.empty((int(counts.sum()), *column.shape[1:]), column.dtype) for name, column in arrays.items()}
-    for p, begin, end in parts(counts):
-        for name, part in unpacked(incoming[starts(words)[p] :], end - begin, arrays):
-            every[name][begin:end] = part
-    return every
+    return joined(messages, counts, arrays)
 
 
 def sendrecv(ranks: Communicator, others: Sequence[int], outgoing: Sequence[Array]) -> Array:
@@ -144,6 +135,15 @@ def unpacked(words: Array, count: int, like: dict[str, Array]) -> Iterator[tuple
         end = begin + count * prod(rest) * dtype.itemsize
         yield name, data[begin:end].view(dtype).reshape(count, *rest)
         begin = end
+
+
+def joined(messages: dict[int, Array], counts: Array, like: dict[str, Array]) -> dict[str, Array]:
+    """The columns that all `messages` (rank → words) hold, counts[rank] rows of each rank, one after the other."""
+    columns = {name: np.empty((int(counts.sum()), *column.shape[1:]), column.dtype) for name, column in like.items()}
+    for p, begin, end in parts(counts):
+        for name, part in unpacked(messages[p], end - begin, like):
+            columns[name][begin:end] = part
+    return columns
 
 
 def starts(counts: Array) -> Array:
@@ -195,19 +195,14 @@ def own_range(rank: int, ids: IdRange, writers: int) -> tuple[int, int]:
     return least, most
 
 
-def in_own_range(rank: int, numbers: Array, ids: IdRange, writers: int) -> bool:
-    """Do rows with these ids ascend, and does `by_range` send all of them to this rank?"""
-    least, most = own_range(rank, ids, writers)
-    return not len(numbers) or bool(least <= numbers[0] and numbers[-1] < most and (numbers[1:] > numbers[:-1]).all())
-
-
 def in_id_order(ranks: Communicator, arrays: dict[str, Array], ids: IdRange, writers: int) -> dict[str, Array]:
     """Rows in id order: the range of ids is divided evenly among the first `writers` ranks. Collective.
 
     Few rows are sent together. Of many, the columns are sent one after the other: a rank holds the rows that it gets and, of a
     single column, what is on its way. Where all have theirs in order already, as without pairs, they are the arrays given.
     """
-    if ranks.all(in_own_range(ranks.rank, arrays["id"], ids, writers)):
+    mine, (least, most) = arrays["id"], own_range(ranks.rank, ids, writers)
+    if ranks.all(not len(mine) or (least <= mine[0] and mine[-1] < most and (mine[1:] > mine[:-1]).all())):
         return dict(arrays)
     if ranks.size == 1:
         return rows_of(arrays, rows_in_order(arrays["id"]))
