@@ -16,16 +16,12 @@ GROWTH = 1.2  # of the rows that are needed: how many new arrays have space for
 
 
 class RowBuffers:
-    """Holds the arrays of `particles`, which shows their first `count` rows. Behind these ghosts may stand."""
+    """Holds the arrays of `particles`, which shows their first rows. Behind these ghosts may stand."""
 
     def __init__(self, particles: Particles):
         self.particles = particles
         self.buffers: dict[str, Array] = {}
         self.spare: dict[Any, Array] = {}  # one array for each type and width, into which columns are sorted in turn
-
-    @property
-    def count(self) -> int:
-        return len(self.particles)
 
     def adopt(self) -> None:
         """Copy the arrays of `particles` into the buffers, if somebody else has put new ones there."""
@@ -46,7 +42,7 @@ class RowBuffers:
         if rows <= len(self.buffers["id"]):
             return
         require_countable(rows, "particles and ghosts")
-        n, space = self.count, int(rows * GROWTH) + 1
+        n, space = len(self.particles), int(rows * GROWTH) + 1
         self.spare = {}
         for name, old in self.buffers.items():
             self.buffers[name] = np.empty((space, *old.shape[1:]), old.dtype)
@@ -85,12 +81,12 @@ class RowBuffers:
                 self.send(ranks, leaving, self.buffers[OWNER][leaving])
                 leaving = np.flatnonzero(self.particles.arrays[OWNER] != ranks.rank)
             del self.buffers[OWNER]
-            self.show(self.count)
+            self.show(len(self.particles))
         return away
 
     def send(self, ranks: Communicator, leaving: Array, owner: Array) -> None:
         """Send the rows `leaving`, ascending, to the ranks `owner`, and take those that arrive. Collective."""
-        n = self.count
+        n = len(self.particles)
         order, counts = by_destination(owner, ranks.size)
         arrived, _ = send_rows(ranks, self.particles.arrays, leaving[order], counts)
         came = len(arrived["id"])
@@ -106,7 +102,7 @@ class RowBuffers:
 
     def append_ghosts(self, arrived: dict[str, Array]) -> dict[str, Array]:
         """Put ghosts behind the particles; returns the arrays of both together, for the fields that ghosts have."""
-        n = self.count
+        n = len(self.particles)
         rows = n + len(arrived["id"])
         self.reserve(rows)
         for name, array in arrived.items():
