@@ -57,12 +57,11 @@ def raising_together(ranks: Communicator) -> Iterator[None]:
     error: Exception | None = None
     try:
         yield
+    except (SceneError, StoppedError) as raised:
+        error = raised
     except (Exception, SystemExit) as raised:
-        if isinstance(raised, SceneError | StoppedError):
-            error = raised
-        else:
-            error = (SceneError if isinstance(raised, MemoryError) else StoppedError)(describe_unexpected(raised))
-            error.__cause__ = raised
+        error = (SceneError if isinstance(raised, MemoryError) else StoppedError)(describe_unexpected(raised))
+        error.__cause__ = raised
     if ranks.size > 1:
         await_all(ranks, error, SETUP_PATIENCE)
         raise_first(ranks, error)
@@ -77,18 +76,8 @@ def await_all(ranks: Communicator, error: Exception | None, patience: float = PA
     """
     if error is None:
         ranks.comm.Ibarrier().Wait()
-    elif not all_come(ranks.comm, patience):
+    elif not ranks.sleeping_barrier(patience):
         abort_all(error)
-
-
-def all_come(comm: MPI.Comm, patience: float) -> bool:
-    """Do all ranks come to a non-blocking barrier, as this one, within `patience` seconds? It sleeps while it waits."""
-    request, end = comm.Ibarrier(), perf_counter() + patience
-    while not request.Test():
-        if perf_counter() > end:
-            return False
-        sleep(NAP)
-    return True
 
 
 def raise_first(ranks: Communicator, error: Exception | None, root_reads: bool = False) -> None:
@@ -131,13 +120,16 @@ def differences(one: Any, two: Any, key: str = "") -> Iterator[tuple[str, Any, A
     if isinstance(one, dict) and isinstance(two, dict):
         for name in sorted(one.keys() | two.keys()):
             yield from differences(one.get(name), two.get(name), f"{key}.{name}" if key else name)
-    elif all(isinstance(side, list) and all(isinstance(row, dict) for row in side) for side in (one, two)) and len(one) == len(
-        two
-    ):
+    elif are_tables(one) and are_tables(two) and len(one) == len(two):
         for number, rows in enumerate(zip(one, two, strict=True)):
             yield from differences(*rows, f"{key}[{number}]")
     elif one != two:
         yield key, one, two
+
+
+def are_tables(value: Any) -> bool:
+    """Is it a list of tables?"""
+    return isinstance(value, list) and all(isinstance(row, dict) for row in value)
 
 
 def _beside(one: Any, two: Any) -> str:
@@ -169,13 +161,13 @@ def abort_all(error: BaseException, whole: bool = False) -> int:
     Prints one line, or one for each fault of a scene; with `whole` the traceback of an unexpected exception. Where several
     ranks fail within PATIENCE seconds, only the lowest prints.
     """
-    comm, notice = MPI.COMM_WORLD, _notice(error, whole)
-    found = {0: notice} if comm.Get_size() == 1 else _notices(comm, notice)
-    lowest, complete = min(found), len(found) == comm.Get_size()
+    world, notice = Communicator(MPI.COMM_WORLD), _notice(error, whole)
+    found = {0: notice} if world.size == 1 else _notices(world, notice)
+    lowest, complete = min(found), len(found) == world.size
     code = found[lowest].code
     with suppress(Exception):  # where nobody can be told (no stderr, a closed pipe), the ranks are ended all the same
         sys.stdout.flush()
-    if comm.Get_rank() == lowest:
+    if world.rank == lowest:
         alone = not (complete and all(other.text[:LENGTH] == notice.text[:LENGTH] for other in found.values()))
         before = "" if notice.trace else f"particles-mpi: rank {lowest}: " if alone else "particles-mpi: "
         with suppress(Exception):
@@ -185,12 +177,12 @@ def abort_all(error: BaseException, whole: bool = False) -> int:
     # The first rank that ends has the others killed: not before the message has been read, which may take PATIENCE. A rank that
     # is ended meanwhile never comes; then the others, which would wait for it in MPI_Finalize for ever, are ended too.
     shared = complete and all(other.shared for other in found.values())
-    if comm.Get_size() > 1 and not (shared and all_come(comm, 3.0 * PATIENCE)):
-        if comm.Get_rank() != lowest:
+    if world.size > 1 and not (shared and world.sleeping_barrier(3.0 * PATIENCE)):
+        if world.rank != lowest:
             sleep(PATIENCE)  # the lowest rank ends all when it has printed its message
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPICH would add a line of its own
         signal.alarm(ABORT_SECONDS)  # MPI_Abort waits for the launcher; if that never answers, this process ends by itself
-        comm.Abort(code)
+        world.comm.Abort(code)
     return code
 
 
@@ -219,15 +211,15 @@ def _notice(error: BaseException, whole: bool) -> Notice:
     return Notice(StoppedError.exit_code, describe_unexpected(error))
 
 
-def _notices(comm: MPI.Comm, mine: Notice) -> dict[int, Notice]:
+def _notices(world: Communicator, mine: Notice) -> dict[int, Notice]:
     """The notices of this rank and of those that fail within PATIENCE seconds, by rank."""
-    found = {comm.Get_rank(): mine}
+    found = {world.rank: mine}
     short = mine._replace(text=mine.text[:LENGTH])
-    sent = [comm.isend(short, p, TAG) for p in range(comm.Get_size()) if p not in found]
+    sent = [world.comm.isend(short, p, TAG) for p in range(world.size) if p not in found]
     status, end = MPI.Status(), perf_counter() + PATIENCE
-    while len(found) < comm.Get_size() and perf_counter() < end:
-        if comm.iprobe(tag=TAG, status=status):
-            found[status.source] = comm.recv(source=status.source, tag=TAG)
+    while len(found) < world.size and perf_counter() < end:
+        if world.comm.iprobe(tag=TAG, status=status):
+            found[status.source] = world.comm.recv(source=status.source, tag=TAG)
         else:
             sleep(NAP)
     _pending.extend(sent)

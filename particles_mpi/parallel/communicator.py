@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from time import sleep
+from math import inf
+from time import perf_counter, sleep
 from typing import Any
 
 import numpy as np
@@ -65,9 +66,7 @@ class Communicator:
         return np.searchsorted(begins, numbers, "right") - 1
 
     def _allreduce(self, values: Any, operation: MPI.Op) -> Array:
-        values = np.asarray(values)
-        if not values.ndim:
-            values = values.reshape(1)
+        values = np.atleast_1d(values)
         if self.size == 1:
             return values
         self.reductions += 1
@@ -136,11 +135,14 @@ class Communicator:
         """Wait until all ranks have come here."""
         self.comm.Barrier()
 
-    def sleeping_barrier(self) -> None:
-        """The same, but a rank that waits leaves its core free for others."""
-        arrived = self.comm.Ibarrier()
+    def sleeping_barrier(self, patience: float = inf) -> bool:
+        """The same, but a rank that waits leaves its core free for others. Have all come here within `patience` seconds?"""
+        arrived, end = self.comm.Ibarrier(), perf_counter() + patience
         while not arrived.Test():
+            if perf_counter() > end:
+                return False
             sleep(NAP)
+        return True
 
     def run_on_root(self, work: Callable[[], Any]) -> Any:
         """Call `work()` on rank 0 while the others sleep: its value there, None elsewhere, its exception on all. Collective."""
