@@ -164,19 +164,16 @@ class LoadBalance:
             return
         worked = sum(self.timers.seconds.get(phase, 0.0) for phase in WORKING)
         mine, self.worked = worked - self.worked, worked
-        if self.cuts == 0:
-            self.cut(particles.position, 1.0)
-        else:
+        weight = 1.0
+        if self.cuts:
             longest, (total, count) = self.ranks.largest(mine)[0], self.ranks.allreduce_sum([mine, float(len(particles))])
             self.lost = max(self.lost + float(longest - (1.0 + NOISE) * total / self.ranks.size), 0.0)
-            if self.lost > self.cost:
-                each, typical = mine / max(len(particles), 1), float(total) / max(count, 1.0)
-                self.cut(particles.position, float(np.clip(each / typical, 0.5, 2.0)) if typical > 0.0 else 1.0)
-
-    def cut(self, x: Array, weight: float) -> None:
-        """A new decomposition, from this rank's positions x (n, d), each of which means `weight` units of work. Collective."""
+            if self.lost <= self.cost:
+                return
+            each, typical = mine / max(len(particles), 1), float(total) / max(count, 1.0)
+            weight = float(np.clip(each / typical, 0.5, 2.0)) if typical > 0.0 else 1.0
         begin = perf_counter()
-        self.decomposition = bisect(self.ranks, x, weight)
+        self.decomposition = bisect(self.ranks, particles.position, weight)
         self.cost = self.ranks.largest(perf_counter() - begin)[0] * MOVING
         self.lost = 0.0
         self.cuts += 1
