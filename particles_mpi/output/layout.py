@@ -84,6 +84,11 @@ def shorten(path: Path, columns: ColumnShapes, frames: int, points: int, parts: 
                 group[place].resize(rows, axis=0)
 
 
+def place_of(name: str) -> str:
+    """Where in the group VTKHDF a column of a frame is: Points, or the values of a field."""
+    return name if name == "Points" else f"PointData/{name}"
+
+
 def row_of_part(place: str, count: int) -> int:
     """The number in a dataset of PARTS for frames of `count` particles: so many points, so many vertices, and nothing else."""
     return count if place.startswith(("Number", "Vertices")) else 0

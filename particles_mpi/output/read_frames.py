@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 
 from particles_mpi.errors import SceneError
+from particles_mpi.output.layout import place_of
 from particles_mpi.particles import Array
 
 PAUSES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # seconds between looks at a file that is being changed
@@ -39,27 +40,23 @@ class FrameReader:
 
     def __init__(self, path: Path):
         self.path = path
-        self.cached: tuple[Any, Index | None] = (None, None)
+        self.cached: dict[tuple[int, int], Index] = {}  # of the file as it was then
 
     def index(self) -> Index:
         """What there is now; read again only if the file has changed."""
         if show := SHOW.get(self.path.resolve()):
             show()
         stamp, now = self._stamp(), time_ns()
-        if self.cached[0] != stamp or self.cached[1] is None:
-            index = self._read(_index)
-            if abs(now - stamp[0]) < TICK:
-                return index
-            self.cached = stamp, index
-        assert self.cached[1] is not None
-        return self.cached[1]
+        index: Index = self.cached.get(stamp) or self._read(_index)
+        if abs(now - stamp[0]) >= TICK:
+            self.cached = {stamp: index}
+        return index
 
     def column(self, name: str, k: int) -> Array:
         """Rows of frame k >= 0, in id order: of `Points`, or of a field."""
         index = self.index()
         rows = slice(int(index.starts[k]), int(index.starts[k] + index.counts[k]))
-        place = name if name == "Points" else f"PointData/{name}"
-        values: Array = self._read(lambda group: group[place][rows])
+        values: Array = self._read(lambda group: group[place_of(name)][rows])
         if len(values) != index.counts[k]:
             raise SceneError(f"{self.path}: frame {k} is not whole")
         return values

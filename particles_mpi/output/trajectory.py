@@ -32,7 +32,7 @@ from particles_mpi.output.files import (
 from particles_mpi.output.read_frames import OPENING, SHOW
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
-from particles_mpi.particles import Array, default_values, field, row_bytes
+from particles_mpi.particles import Array, default_values, row_bytes
 
 SHOWING_PAUSE = 0.5  # seconds: frames that follow one another faster are shown to readers together
 WAITING_BYTES = 2**20  # bytes: smaller frames wait for those that follow in that time, and are written by one call with them
@@ -50,14 +50,14 @@ class Trajectory(Continuing):
     """Writer of `trajectory.vtkhdf`; every method is collective.
 
     path: the file; frames up to `resume_step` are kept, and the last one kept must have `last_count` particles (`total` if
-    that is None). particles_fields: names of fields; those not meant for frames are skipped. total: N at the start, of all ranks.
+    that is None). fields: names of those that each frame shows. total: N at the start, of all ranks.
     """
 
     def __init__(
         self,
         path: Path,
         ranks: Communicator,
-        particles_fields: list[str],
+        fields: list[str],
         dimension: int,
         total: int,
         resume_step: int | None = None,
@@ -65,10 +65,8 @@ class Trajectory(Continuing):
         last_count: int | None = None,
     ):
         self.dimension, self.last_count = dimension, total if last_count is None else last_count
-        self.fields = [name for name in particles_fields if field(name).output]
-        frame = frame_arrays({name: default_values(name, 0, dimension) for name in self.fields}, dimension)
-        self.places = {name: name if name == "Points" else f"PointData/{name}" for name in frame}
-        self.columns = {self.places[name]: (rows.shape[1:], rows.dtype) for name, rows in frame.items()}
+        frame = frame_arrays({name: default_values(name, 0, dimension) for name in fields}, dimension)
+        self.columns = {layout.place_of(name): (rows.shape[1:], rows.dtype) for name, rows in frame.items()}
         self.row_bytes = row_bytes(*frame.values())
         self.parallel = ranks.size > 1 and bool(h5py.get_config().mpi)
         self.datasets: dict[str, Any] = {}
@@ -107,26 +105,22 @@ class Trajectory(Continuing):
             SHOW[self.path.resolve()] = self.show
 
     def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
-        """Append a frame. `arrays`: this rank's owned rows in any order, at least the fields given at the start."""
-        rows = in_id_order(self.ranks, {n: arrays[n] for n in self.fields}, ids, self.ranks.size if self.parallel else 1)
-        columns = {self.places[name]: column for name, column in frame_arrays(rows, self.dimension).items()}
+        """Append a frame, or let it wait. `arrays`: this rank's owned rows in any order, of the fields given at the start."""
+        rows = in_id_order(self.ranks, arrays, ids, self.ranks.size if self.parallel else 1)
+        columns = {layout.place_of(name): column for name, column in frame_arrays(rows, self.dimension).items()}
         with self.lock:
-            self._take(step, time, columns, ids)
-
-    def _take(self, step: int, time: float, columns: dict[str, Array], ids: IdRange) -> None:
-        """Write a frame, or let it wait; `columns`: this rank's range of ids, by place in the file. Collective."""
-        if self.waiting and ids != self.ids:
-            self._write_waiting()
-        self.ids = ids
-        late = self.ranks.bcast(perf_counter() - self.shown_at > SHOWING_PAUSE)
-        waits = not late and (len(self.waiting) + 1) * ids.total * self.row_bytes <= WAITING_BYTES
-        if waits:  # the run goes on and changes its arrays
-            columns = {place: column.copy() for place, column in columns.items()}
-        self.waiting.append(WaitingFrame(step, time, columns))
-        if late:
-            self.show()
-        elif not waits:
-            self._write_waiting()
+            if self.waiting and ids != self.ids:
+                self._write_waiting()
+            self.ids = ids
+            late = self.ranks.bcast(perf_counter() - self.shown_at > SHOWING_PAUSE)
+            waits = not late and (len(self.waiting) + 1) * ids.total * self.row_bytes <= WAITING_BYTES
+            if waits:  # the run goes on and changes its arrays
+                columns = {place: column.copy() for place, column in columns.items()}
+            self.waiting.append(WaitingFrame(step, time, columns))
+            if late:
+                self.show()
+            elif not waits:
+                self._write_waiting()
 
     def _write_waiting(self) -> None:
         """Write all frames that wait."""
@@ -191,16 +185,13 @@ class Trajectory(Continuing):
             raise
 
     def _flush(self) -> None:
-        if not self.parallel and os.stat(self.path).st_size < (size := self.file.id.get_filesize()):
-            self._lengthen(size)
-        self.file.flush()
-
-    def _lengthen(self, size: int) -> None:
         """Where files must not be that long it fails here: HDF5 would first write into the file that it is, and then fail."""
-        try:
-            os.truncate(self.path, size)
-        except OSError as error:
-            raise OSError(error.strerror) from error
+        if not self.parallel and os.stat(self.path).st_size < (size := self.file.id.get_filesize()):
+            try:
+                os.truncate(self.path, size)
+            except OSError as error:
+                raise OSError(error.strerror) from error
+        self.file.flush()
 
     def _close(self) -> None:
         self.datasets = {}

@@ -21,7 +21,7 @@ from particles_mpi.output.files import Continuing, check_last, failing_together,
 from particles_mpi.output.replacing import replace_text, replacing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
-from particles_mpi.particles import Array, field, rows_of
+from particles_mpi.particles import Array, rows_of
 
 PIECE_IDS = 2**20  # ids in a file
 SMALL_BLOCK = 2**10  # particles in a block whose text is kept
@@ -57,11 +57,10 @@ class VtkSeries(Continuing):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
 
     def write(self, step: int, time: float, arrays: dict[str, Array], ids: IdRange) -> None:
-        """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d); fields not meant for frames are skipped."""
-        shown = {name: array for name, array in arrays.items() if field(name).output}
+        """Add a frame. `arrays`: this rank's owned rows in any order, (n,) or (n, d), of the fields that a frame shows."""
         path = self.folder / f"vtk/particles_{step:06d}.{suffix(ids)}"
         try:
-            pieces = self._write_pieces(path, step, shown, ids)
+            pieces = self._write_pieces(path, step, arrays, ids)
         except StoppedError:
             if self.ranks.is_root:
                 shutil.rmtree(path.with_suffix(""), ignore_errors=True)  # pieces that no file names are of no use
@@ -69,7 +68,7 @@ class VtkSeries(Continuing):
         with failing_together(self.ranks, f"cannot write {path} at step {step}"):
             if self.ranks.is_root:
                 if path.suffix == ".pvtu":
-                    _write_pvtu(path, pieces, frame_arrays(rows_of(shown, np.arange(0)), self.dimension))
+                    _write_pvtu(path, pieces, frame_arrays(rows_of(arrays, np.arange(0)), self.dimension))
                 self.frames[step] = f"vtk/{path.name}", repr(float(time))
                 self._list_last(step)
 

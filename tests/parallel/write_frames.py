@@ -26,6 +26,7 @@ EVERY = 10  # steps between frames
 
 
 KNOWN = dict(FIELDS)  # before any scene has an effect with columns of its own
+SHOWN = [name for name, column in KNOWN.items() if column.output]
 
 
 def frame_of(step: int, total: int, dimension: int) -> dict[str, np.ndarray]:
@@ -73,7 +74,7 @@ def main() -> None:
     if options.limit:  # stands for a full disk
         resource.setrlimit(resource.RLIMIT_FSIZE, (options.limit, options.limit))
     try:
-        trajectory = Trajectory(options.folder / "trajectory.vtkhdf", ranks, list(KNOWN), d, n, options.resume)
+        trajectory = Trajectory(options.folder / "trajectory.vtkhdf", ranks, SHOWN, d, n, options.resume)
         diagnostics = Diagnostics(options.folder / "diagnostics.csv", ranks, ["step", "time", "particles"], options.resume)
         writers = [trajectory, diagnostics]
         if not options.no_vtk:
@@ -86,14 +87,15 @@ def main() -> None:
         begin = 0 if options.resume is None else options.resume + EVERY
         for step in range(begin, begin + EVERY * options.frames, EVERY):
             rows = owned(ranks, frame_of(step, n, d), step)
+            shown = {name: rows[name] for name in SHOWN}
             ranks.comm.Barrier()
             started = time.perf_counter()
-            trajectory.write(step, step / 3, rows, ids)
+            trajectory.write(step, step / 3, shown, ids)
             if options.time and ranks.is_root:
                 print(f"hdf5 {1e3 * (time.perf_counter() - started):.0f} ms")
             if not options.no_vtk:
                 started = time.perf_counter()
-                series.write(step, step / 3, rows, ids)
+                series.write(step, step / 3, shown, ids)
                 if options.time and ranks.is_root:
                     print(f"vtu {1e3 * (time.perf_counter() - started):.0f} ms")
             started = time.perf_counter()
