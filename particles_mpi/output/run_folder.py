@@ -101,8 +101,8 @@ class Lock:
 
 
 def claim(
-    folder: Path, ranks: Communicator, about: dict[str, Any], resumed: bool, overwrite: bool, own: bool = False
-) -> tuple[bool, Lock | None]:  # fmt: skip
+    folder: Path, ranks: Communicator, about: dict[str, Any], resumed: bool, overwrite: bool, own: bool
+) -> tuple[bool, Lock | None]:
     """Take the folder for a run of about["scene"], and lock it on rank 0. Collective.
 
     Returns whether a resumed run continues there, where its checkpoint is, and rank 0's lock. `own`: this simulation wrote the

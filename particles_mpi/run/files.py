@@ -37,9 +37,8 @@ class RunFiles:
     """
 
     def __init__(self, sim: Any, folder: Path, plan: dict[str, Any], *, resumed: bool, own: bool, overwrite: bool):
-        self.sim, self.folder, self.ranks, self.plan, self.lock = sim, folder, sim.ranks, plan, None
-        not_run = [{"effect": name} for name in plan["not_run"]]
-        about = scene_and_folder(sim.scene) | {"plan": plan | {"not_run": not_run}}
+        self.sim, self.folder, self.ranks = sim, folder, sim.ranks
+        about = scene_and_folder(sim.scene) | {"plan": plan | {"not_run": [{"effect": name} for name in plan["not_run"]]}}
         self.continues, self.lock = run_folder.claim(folder, self.ranks, about, resumed, overwrite, own)
         self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
         shows_fixed = self.written.setdefault("fixed", int(plan["fixed"] > 0))
