@@ -40,12 +40,21 @@ def energies_and_momenta(ranks: Communicator, p: Particles, potentials: dict[str
     fastest = 0.0
 
     def terms(rows: slice) -> dict[str, Array]:
+        """What each row (n,) adds to the sums, by name; fixed ones only energies."""
         nonlocal fastest
         part = part_of(p, rows)
-        square = row_dot(part.velocity, part.velocity)
+        square, mass = row_dot(part.velocity, part.velocity), part.mass * (part.fixed == 0)
         fastest = square.max(initial=fastest)
-        energies = {name: energy[rows] for name, energy in potentials.items()}
-        return energy_and_momentum(part, square, energies, gravity, turning)
+        found = {"kinetic": 0.5 * mass * square}
+        found |= dict(zip(vector_names("momentum", d), mass * part.velocity.T, strict=True))
+        found |= {f"potential of {name}": energy[rows] for name, energy in potentials.items()}
+        if gravity or turning:
+            found |= angular_momenta(part, mass)
+        if gravity:
+            found |= {"mass": mass} | dict(zip(vector_names("center", d), mass * part.position.T, strict=True))
+        if turning:
+            found |= spins(part)
+        return found
 
     sums = exact_sums_by_name(ranks, len(p), terms)
     kinetic, potential = sums["kinetic"], float(sum(sums[f"potential of {name}"] for name in potentials))
@@ -62,24 +71,6 @@ def energies_and_momenta(ranks: Communicator, p: Particles, potentials: dict[str
         row["total_energy"] += row["rotational"]
         row |= {name: sums[name] + sums[f"spins' {name}"] for name in angular_names(d)}
     return row
-
-
-def energy_and_momentum(
-    p: Particles, square: Array, potentials: dict[str, Array], gravity: bool, turning: bool
-) -> dict[str, Array]:
-    """What each row (n,) adds to the sums of `energies_and_momenta`, by name; fixed ones only energies. `square`: v^2 (n,)."""
-    movable = p.fixed == 0
-    mass = p.mass * movable
-    terms = {"kinetic": 0.5 * mass * square}
-    terms |= dict(zip(vector_names("momentum", p.dimension), mass * p.velocity.T, strict=True))
-    terms |= {f"potential of {name}": energy for name, energy in potentials.items()}
-    if gravity or turning:
-        terms |= angular_momenta(p, mass)
-    if gravity:
-        terms |= {"mass": mass} | dict(zip(vector_names("center", p.dimension), mass * p.position.T, strict=True))
-    if turning:
-        terms |= spins(p)
-    return terms
 
 
 def spins(p: Particles) -> dict[str, Array]:
