@@ -40,8 +40,8 @@ def forget_stale_kernels() -> None:
             return
         from particles_mpi.setup.kernel_sources import Sources
 
-        sources = Sources(PACKAGE)
-        if not sources.forget_stale(seen.get("kernels"), cache, folders):
+        sources = Sources(PACKAGE, seen.get("kernels"))
+        if not sources.forget_stale(cache, folders):
             return
         record.parent.mkdir(parents=True, exist_ok=True)
         part = record.with_suffix(f".{os.getpid()}")

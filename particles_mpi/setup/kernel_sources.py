@@ -50,8 +50,10 @@ class Sources:
     """The definitions of a package: `defined[module, name]` are the statements at the top of a module that define a name."""
 
     @keeping_garbage()
-    def __init__(self, package: Path):
+    def __init__(self, package: Path, before: dict[str, str] | None = None):
+        """`before`: the digests of kernels at an earlier look, if not those when all were compiled."""
         self.package = package
+        self.before = self.compiled().get("kernels", {}) if before is None else before
         self.files: dict[str, Path] = {}
         self.defined: dict[Place, list[ast.stmt]] = defaultdict(list)
         self.links: dict[Place, Place] = {}  # where an imported name is defined
@@ -120,9 +122,9 @@ class Sources:
         modules = sorted({name.rpartition(".")[0] for name in kernels})
         return {"kernels": kernels, "files": {m: digest(self.files[m].read_text(encoding="utf-8")) for m in modules}}
 
-    def stale(self, before: dict[str, str] | None = None) -> list[str]:
-        """The kernels whose digest is not what it was `before`: if that is not given, when all were compiled."""
-        before, now = self.compiled().get("kernels", {}) if before is None else before, self.kernels
+    def stale(self) -> list[str]:
+        """The kernels whose digest is not what it was before."""
+        before, now = self.before, self.kernels
         return sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
 
     def compiled(self) -> dict[str, dict[str, str]]:
@@ -136,25 +138,23 @@ class Sources:
         """Are all kernels compiled from their present source?"""
         return self.compiled() == self.state()
 
-    def unsure(self, before: dict[str, str]) -> bool:
-        """Might kernels, those there are or were `before`, use something of a file that could not be read?"""
+    def unsure(self) -> bool:
+        """Might kernels, those there are or were before, use something of a file that could not be read?"""
         importers = {module for (module, _), (source, _) in self.links.items() if source in self.unread}
-        kernels = (kernel.rpartition(".") for kernel in before.keys() | self.kernels.keys())
+        kernels = (kernel.rpartition(".") for kernel in self.before.keys() | self.kernels.keys())
         places = {(module, name) for module, _, name in kernels}
         return not places or any(module in self.unread | importers for module, _ in self.reached(places))
 
-    def forget_stale(
-        self, before: dict[str, str] | None = None, cache: Path | None = None, folders: str = "**/__pycache__"
-    ) -> bool:
+    def forget_stale(self, cache: Path | None = None, folders: str = "**/__pycache__") -> bool:
         """Delete what was compiled of stale kernels, and of those whose arguments are of classes that are gone.
 
-        `before`: as for `stale`. Compiled kernels are in these `folders` below `cache`: by default beside their sources. Returns
-        False, and deletes nothing, where that cannot be known yet.
+        Compiled kernels are in these `folders` below `cache`: by default beside their sources. Returns False, and deletes
+        nothing, where that cannot be known yet.
         """
-        if self.unread and self.unsure(self.compiled().get("kernels", {}) if before is None else before):
+        if self.unread and self.unsure():
             return False
         cache = self.package if cache is None else cache
-        stale = {".".join(name.split(".")[-2:]) for name in self.stale(before)}  # numba's files have no more of the name
+        stale = {".".join(name.split(".")[-2:]) for name in self.stale()}  # numba's files have no more of the name
         for file in cache.glob(f"{folders}/*.nb[ic]"):
             if file.name.partition("-")[0] in stale:
                 file.unlink(missing_ok=True)
