@@ -168,13 +168,12 @@ class Trajectory(Continuing):
                 super().close()
 
     def _do(self, step: int, actions: list[Callable[[], None]]) -> None:
-        """Change the file. With parallel HDF5 all ranks do, and ask one another after each action whether it went well."""
-        rounds = [[action] for action in actions] if self.parallel else [actions]
+        """Change the file, on rank 0 or, with parallel HDF5, on all ranks, which agree after each action whether it went well."""
         reasons, patience = (mpi_io_errors, FILE_PATIENCE) if self.parallel else (nullcontext, 0.0)
         try:
-            for together in rounds:
+            for action in actions:
                 with failing_together(self.ranks, f"cannot write {self.path} at step {step}", patience), reasons():
-                    for action in together if self.parallel or self.ranks.is_root else ():
+                    if self.parallel or self.ranks.is_root:
                         action()
         except StoppedError:  # HDF5 crashes when it closes a file that it cannot flush, also at the end of the process
             self.failed = True
