@@ -1,6 +1,6 @@
 """Which compiled kernels are out of date?
 
-`python -P particles_mpi/setup/kernel_sources.py` deletes what was compiled of those, and ends with exit code 1 if there are any.
+`python -P particles_mpi/setup/kernel_sources.py` ends with exit code 1 if there are any; `freshness` deletes them.
 
 Numba compiles a kernel again when the file that defines it has changed, but not when another file has changed whose functions or
 constants it uses. Therefore a digest of each kernel is kept: of all definitions in the package that it uses, directly or through
@@ -145,15 +145,13 @@ class Sources:
         places = {(module, name) for module, _, name in kernels}
         return not places or any(module in self.unread | importers for module, _ in self.reached(places))
 
-    def forget_stale(self, cache: Path | None = None, folders: str = "**/__pycache__") -> bool:
+    def forget_stale(self, cache: Path, folders: str) -> bool:
         """Delete what was compiled of stale kernels, and of those whose arguments are of classes that are gone.
 
-        Compiled kernels are in these `folders` below `cache`: by default beside their sources. Returns False, and deletes
-        nothing, where that cannot be known yet.
+        Compiled kernels are in these `folders` below `cache`. Returns False, and deletes nothing, where that cannot be known yet.
         """
         if self.unread and self.unsure():
             return False
-        cache = self.package if cache is None else cache
         stale = {".".join(name.split(".")[-2:]) for name in self.stale()}  # numba's files have no more of the name
         for file in cache.glob(f"{folders}/*.nb[ic]"):
             if file.name.partition("-")[0] in stale:
@@ -220,8 +218,4 @@ def digest(text: str) -> str:
 
 
 if __name__ == "__main__":
-    sources = Sources(PACKAGE)
-    if sources.up_to_date():
-        sys.exit(0)
-    sources.forget_stale()
-    sys.exit(1)
+    sys.exit(0 if Sources(PACKAGE).up_to_date() else 1)
