@@ -98,7 +98,7 @@ def vector_names(vector: str, dimension: int) -> tuple[str, ...]:
     return tuple(f"{vector}_{'xyz'[k] if dimension <= 3 else k}" for k in range(dimension))
 
 
-def column_names(dimension: int, observables: bool = False, gravity: bool = False, spins: bool = False) -> list[str]:
+def column_names(dimension: int, observables: bool, gravity: bool, spins: bool) -> list[str]:
     """The columns of diagnostics.csv, in order."""
     row = ["step", "time", "particles", "kinetic", "potential", "total_energy", *vector_names("momentum", dimension), "max_speed"]
     about_gravity = [*angular_names(dimension), *vector_names("center", dimension), "virial_ratio"] if gravity else []

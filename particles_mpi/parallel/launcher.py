@@ -148,12 +148,11 @@ class Launcher:
         else:
             self.send(signal.SIGUSR1 if self.requests == 1 else signal.SIGKILL)
 
-    def ended(self, how: int = 0) -> bool:
-        """Has it ended? Looks, and with how = 0 waits until it has; then `code` is its exit code, or minus a signal."""
+    def look(self, how: int = 0) -> None:
+        """Look whether it has ended, with how = 0 wait until it has: then `code` is its exit code, or minus a signal."""
         pid, status = os.waitpid(self.pid, how)
         if pid:
             self.code = os.waitstatus_to_exitcode(status)
-        return bool(pid)
 
     def relay(self) -> int:
         """Pass on what it prints on stderr until it ends; its exit code, or minus the signal that ended it."""
@@ -168,11 +167,11 @@ class Launcher:
             if alone >= STUCK:
                 self.send(signal.SIGKILL)
             if not (ready or self.code is not None):
-                self.ended(os.WNOHANG)  # others may keep stderr open when this one has ended; what it has said by then is read
+                self.look(os.WNOHANG)  # others may keep stderr open when this one has ended; what it has said by then is read
             else:
                 open_ = bool(data)
         while self.code is None:
-            self.ended()
+            self.look()
         if self.requests and self.code in (-signal.SIGUSR1, 128 + signal.SIGUSR1, -signal.SIGKILL):
             return EXIT_ON_SIGNAL
         return self.code if self.code >= 0 or passing.code is None else passing.code
