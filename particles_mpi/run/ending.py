@@ -8,8 +8,6 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-import numpy as np
-
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.output.files import write_text
 from particles_mpi.parallel.communicator import mpi_library
@@ -102,7 +100,7 @@ def run_counts(sim: Any) -> dict[str, int]:
     here, ranks = sim.counted(), sim.ranks
     counted = {name: sim.totals[name] for name in COUNTS}
     counted |= {"messages": ranks.messages, "ghost_rows": here["ghost_rows"]}
-    result = dict(zip(counted, ranks.allreduce_sum(np.array(list(counted.values()), np.int64)).tolist()))
+    result = dict(zip(counted, ranks.total(*counted.values())))
     if here["windows"]:
         result |= {name: here[name] for name in ("windows", "windows_redone")}
     return result | {"reductions": ranks.reductions, "pair_searches": here["pair_searches"]}

@@ -5,8 +5,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from particles_mpi.contacts.drift import COUNTS
 from particles_mpi.errors import SceneError, StateError, StoppedError
 from particles_mpi.measure.diagnostics import column_names
@@ -97,17 +95,17 @@ class RunFiles:
         before = sim.reported, sim.observed["row"].copy(), self.written["row"]
         with sim.timers("diagnostics"):
             state = sim.measure(row=True)
-            totals = self.ranks.allreduce_sum(np.array([sim.totals[name] for name in COUNTS]))
+            totals = self.ranks.total(*(sim.totals[name] for name in COUNTS))
             most = self.ranks.largest(len(sim.rows))[0]
             row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state}
-            row |= zip(COUNTS, (totals - np.array(sim.reported)).tolist())
+            row |= {name: now - then for name, now, then in zip(COUNTS, totals, sim.reported)}
             row["imbalance"] = most * self.ranks.size / sim.total if sim.total else 1.0
-            sim.reported = totals.tolist()
+            sim.reported = list(totals)
             self.diagnostics.write(row)
             self.written["row"] = sim.steps_done
         if extra:
             sim.reported, sim.observed["row"], self.written["row"] = before
-        collisions, wall_hits, missed, *_ = totals.tolist()
+        collisions, wall_hits, missed, *_ = totals
         return {**row, "hits_so_far": collisions + wall_hits, "missed_so_far": missed}
 
     def check_folder(self) -> None:
