@@ -13,7 +13,7 @@ from particles_mpi.output.diagnostics_csv import Diagnostics
 from particles_mpi.output.files import failing_together, identity_of, write_text
 from particles_mpi.particles import Array, field
 from particles_mpi.results.scenery import paraview_script
-from particles_mpi.run.ending import about_run, run_counts
+from particles_mpi.run.ending import run_counts, scene_and_folder
 
 FRAMES_IN = {"hdf5": "trajectory.vtkhdf", "vtk": "particles.pvd"}  # by format: what one opens to see the frames
 MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: slower and larger than HDF5
@@ -36,7 +36,7 @@ class RunFiles:
 
     def __init__(self, sim: Any, folder: Path, plan: dict[str, Any], *, resumed: bool, own: bool, overwrite: bool):
         self.sim, self.folder, self.ranks = sim, folder, sim.ranks
-        about = about_run(sim, plan)
+        about = scene_and_folder(sim.scene) | {"plan": plan | {"not_run": [{"effect": name} for name in plan["not_run"]]}}
         self.continues, self.lock = run_folder.claim(folder, self.ranks, about, resumed, overwrite, own)
         self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
         shows_fixed = self.written.setdefault("fixed", int(plan["fixed"] > 0))
