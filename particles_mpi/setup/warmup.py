@@ -80,25 +80,19 @@ def struck_row(d: int, count: int) -> list[dict[str, Any]]:
 
 
 def event(d: int, ranks: Communicator) -> None:
-    """Mode event: with and without walls, a periodic box, observables."""
+    """Mode event: one collision by itself, a periodic box, several ranks."""
     collisions = {"mode": "event"}
-    run(ranks, d, {"collisions": collisions, "walls": {}}, output={"observables": True})
-    run(ranks, d, {"collisions": collisions}, periodic=True)
     if ranks.size == 1:
         Simulation(scene(d, {"collisions": collisions}), ranks.comm).step_to_collision()
         flock = [{"count": 100, "position": "lattice", "velocity": [9.0] * d, "radius": 0.01}]  # all leave their skins at once
         run(ranks, d, {"collisions": collisions}, periodic=True, particles=flock, time={"step": 0.05, "steps": 12})
-    else:  # particles that change their rank, and windows that have to be undone
-        gas = [{"count": 8 * d, "position": "random", "velocity": {"speed": 10.0}, "radius": 0.05}]
-        run(ranks, d, {"collisions": collisions}, periodic=True, particles=gas, time={"step": 0.05, "steps": 12})
-        run(ranks, d, {"collisions": collisions}, particles=struck_row(d, 12), time={"step": 0.05})
+    else:
         losses(d, ranks)
 
 
 def losses(d: int, ranks: Communicator) -> None:
-    """Mode event where spheres come to rest, one on another of very different mass, too."""
+    """Mode event where spheres come to rest, one on another of very different mass."""
     lossy = {"collisions": LOSSY | {"mode": "event"}, "walls": LOSSY, "uniform_gravity": down(d)}
-    run(ranks, d, lossy)
     heavy = [{"position": [[2.0] * (d - 1) + [0.2 + 0.4 * k] for k in range(2)], "radius": 0.2, "mass": [1.0, 1e8]}]
     run(ranks, d, lossy, particles=heavy)
 
@@ -106,10 +100,8 @@ def losses(d: int, ranks: Communicator) -> None:
 def rewind(d: int, ranks: Communicator) -> None:
     """Mode rewind: with and without walls, losses, forces and a periodic box."""
     lossy: dict[str, Any] = {"collisions": LOSSY, "walls": LOSSY}
-    run(ranks, d, {"collisions": {}, "walls": {}}, output={"observables": True})
     run(ranks, d, {"collisions": {}, "drag": {"rate": 0.1}}, periodic=True)
     run(ranks, d, {"uniform_gravity": down(d), "friction": {"strength": 0.1}} | lossy)
-    run(ranks, d, {"mutual_gravity": {}} | lossy)
     run(ranks, d, {"mutual_gravity": {}, "collisions": {}, "walls": {}})
     crowd = [{"count": 2, "position": [[1.0] * d, [1.1] * d], "radius": 0.3}, {"position": [[2.0] * d], "radius": 0.3}]
     run(ranks, d, {"collisions": {"allow_overlap": True}, "walls": {}}, particles=crowd)
@@ -118,15 +110,12 @@ def rewind(d: int, ranks: Communicator) -> None:
         run(ranks, d, lasting, particles=struck_row(d, count), time={"step": 0.03})
     bouncing = [{"position": [[2.0] * d], "velocity": [50.0] + [0.0] * (d - 1), "radius": 1.9}]  # off more walls than passes
     run(ranks, d, {"collisions": {"passes": 1}, "walls": {}}, particles=bouncing)
-    few = {"passes": 1} | LOSSY
-    run(ranks, d, {"collisions": few, "walls": {}, "uniform_gravity": down(d)}, time={"step": 0.03})
 
 
 def rough(d: int, ranks: Communicator) -> None:
     """Rough spheres, which come to rest; on walls alone too; and a column of them that is solved as a large pile."""
     surfaces = LOSSY | {"friction": 0.3, "tangential_restitution": 0.5}
     more = {"uniform_gravity": down(d), "rolling": {"resistance": 0.01}, "walls": surfaces}
-    run(ranks, d, more | {"collisions": surfaces | {"mode": "event"}})
     run(ranks, d, more | {"collisions": surfaces}, output={"orientation": True})
     run(ranks, d, more)
     column = [{"position": [[2.0] * (d - 1) + [0.2 + 0.4 * k] for k in range(3)], "radius": 0.2}]
@@ -138,14 +127,10 @@ def rough(d: int, ranks: Communicator) -> None:
 def others(d: int, ranks: Communicator) -> None:
     """Scenes without pairs: walls alone, integrators, the direct sum; and two spheres that fly past one another."""
     run(ranks, d, {"uniform_gravity": down(d), "walls": LOSSY})
-    run(ranks, d, {"walls": {}})
     for integrator in ("taylor", "leapfrog", "order4", "adaptive"):
         run(ranks, d, {"uniform_gravity": down(d), "mutual_gravity": {"softening": 0.1}}, time={"integrator": integrator})
     many = [{"count": 300, "position": "random"}]
     run(ranks, d, {"mutual_gravity": {"softening": 0.1}}, particles=many)
-    run(ranks, d, {"drag": {"rate": 0.1}}, periodic=True)
-    run(ranks, d, {"friction": {"strength": 0.1}})
-    run(ranks, d, {})
     apart = [{"position": [[1.0] * d, [3.0] * d], "radius": 0.1}]
     Simulation(scene(d, {"collisions": {}}, particles=apart), ranks.comm).steps(2)
 
