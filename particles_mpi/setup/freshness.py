@@ -7,6 +7,7 @@ these are, but takes a second. So first times and sizes of all files are compare
 
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -34,26 +35,17 @@ def forget_stale_kernels() -> None:
     record = PACKAGE / "__pycache__" / RECORD
     if cache != PACKAGE:  # which copies of the package may share
         record = cache / f"{crc32(str(PACKAGE).encode()):08x}_{RECORD}"
-    try:
-        seen = record_in(record)
-        if seen.get("files") == AT_START:
-            return
-        from particles_mpi.setup.kernel_sources import Sources
-
-        sources = Sources(PACKAGE, seen.get("kernels"))
-        if not sources.forget_stale(cache, folders):
-            return
-        record.parent.mkdir(parents=True, exist_ok=True)
-        part = record.with_suffix(f".{os.getpid()}")
-        part.write_text(json.dumps({"files": AT_START, "kernels": sources.kernels}), encoding="utf-8")
-        part.replace(record)
-    except OSError:  # not to be written, or full
+    seen: dict[str, Any] = {}  # what the last look has left, if there was one
+    with suppress(OSError, ValueError):
+        seen = dict(json.loads(record.read_text(encoding="utf-8")))
+    if seen.get("files") == AT_START:
         return
+    from particles_mpi.setup.kernel_sources import Sources
 
-
-def record_in(path: Path) -> dict[str, Any]:
-    """What the last look has left; {} if there was none."""
-    try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError):
-        return {}
+    with suppress(OSError):  # not to be written, or full
+        sources = Sources(PACKAGE, seen.get("kernels"))
+        if sources.forget_stale(cache, folders):
+            record.parent.mkdir(parents=True, exist_ok=True)
+            part = record.with_suffix(f".{os.getpid()}")
+            part.write_text(json.dumps({"files": AT_START, "kernels": sources.kernels}), encoding="utf-8")
+            part.replace(record)
