@@ -121,8 +121,8 @@ def observe(
     whole = np.array([sums[name] for name in vector_names("momentum", d)]) / mass if mass > 0.0 else np.zeros(d)
     moments = exact_sums_by_name(ranks, len(p), lambda rows: moments_of_velocity(part_of(p, rows), whole))
     heat, second, fourth, speed = moments.values()
-    largest, minus_smallest, heaviest, minus_lightest = ranks.allreduce_max(
-        np.array([part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable])], float)
+    largest, minus_smallest, heaviest, minus_lightest = ranks.largest(
+        *(part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable]))
     )
     lasted, happened, given = time - since[0], collisions - since[1], given_so_far - since[2]
     since[:] = time, float(collisions), given_so_far
@@ -141,7 +141,7 @@ def observe(
     if rate > 0.0:
         row["free_time"], row["free_path"] = 1.0 / rate, speed / count / rate
     if elastic and largest == -minus_smallest and heaviest == -minus_lightest:
-        row["z_rate"] = 1.0 + 2.0 * float(largest) * rate * sqrt(pi * float(heaviest) / temperature) / (2.0 * d)
+        row["z_rate"] = 1.0 + 2.0 * largest * rate * sqrt(pi * heaviest / temperature) / (2.0 * d)
     return row
 
 
