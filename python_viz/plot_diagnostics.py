@@ -18,9 +18,9 @@ from matplotlib.axes import Axes
 from run_files import DASHES, DEFAULT_RUN, finish, new_parser, parse, save_path, spaced, start, stop
 
 from particles_mpi import Run
+from particles_mpi.results.curves import EVENTS, rates
 
 BINS = 200  # longer runs have their counts summed to about this many intervals, or the rates would be a black band
-EVENTS = ("collisions", "wall_hits", "missed")
 
 
 def plot_energy(axes: Axes, rows: dict[str, np.ndarray]) -> None:
@@ -62,18 +62,13 @@ def plot_rates(axes: Axes, rows: dict[str, np.ndarray]) -> None:
     if not any(rows[name].any() for name in EVENTS) and any(name.startswith("angular_momentum_") for name in rows):
         plot_components(axes, rows, "angular_momentum")
         return
-    group = 1 + len(rows["time"]) // BINS
-    edges = rows["time"][::group]
+    edges, found = rates(rows, BINS)
     if len(edges) < 2:
         axes.text(0.5, 0.5, "needs two rows", ha="center", transform=axes.transAxes)
-    else:
-        starts = np.arange(1, len(edges) * group - group + 1, group)
-        for name, dash in zip(EVENTS, DASHES, strict=False):
-            if not rows[name].any():
-                continue
-            counts = np.add.reduceat(rows[name][: starts[-1] + group], starts)
+    for name, dash in zip(EVENTS, DASHES, strict=False):
+        if rows[name].any() and len(edges) > 1:
             label = f"{name.replace('_', ' ')} ({spaced(rows[name].sum())})"
-            axes.stairs(counts / np.diff(edges), edges, baseline=None, ls=dash, label=label, lw=1.4)
+            axes.stairs(found[name], edges, baseline=None, ls=dash, label=label, lw=1.4)
     none = [name.replace("_", " ") for name in EVENTS if not rows[name].any()]
     axes.set_title("events per unit time (in all)" + (f"   no {', no '.join(none)}" if none else ""))
     axes.set_ylim(bottom=0)

@@ -20,18 +20,25 @@ def curves(rows: dict[str, Array]) -> list[dict[str, Any]]:
     if len(time) < 2:
         return []
     group = 1 + len(time) // MOST_ROWS
-    edges = time[::group]
+    edges, events = rates(rows, MOST_ROWS)
     panels = [
         _panel("energy", edges, {n: rows[n][::group] for n in ENERGIES if n in rows}),
         _panel("momentum", edges, {n: row[::group] for n, row in rows.items() if n.startswith("momentum_")}),
         _panel("speed", edges, {"max_speed": rows["max_speed"][::group]}),
+        _panel("events per unit time", edges[1:], {n: row for n, row in events.items() if row.any()}),
     ]
-    starts = np.arange(1, (len(edges) - 1) * group + 1, group)
+    return [panel for panel in panels if panel["lines"] and len(panel["time"]) > 1]
+
+
+def rates(rows: dict[str, Array], most: int) -> tuple[Array, dict[str, Array]]:
+    """(moments (n + 1,), {name: (n,)}): events per unit time between these moments, n being at most about `most`."""
+    group = 1 + len(rows["time"]) // most
+    edges = rows["time"][::group]
+    end = (len(edges) - 1) * group + 1
     lasting = np.diff(edges)
     lasting = np.where(lasting > 0.0, lasting, np.inf)  # somebody has set the clock back: of that interval nothing is known
-    counts = {n: np.add.reduceat(rows[n][: (len(edges) - 1) * group + 1], starts) for n in EVENTS}
-    panels.append(_panel("events per unit time", edges[1:], {n: row / lasting for n, row in counts.items() if row.any()}))
-    return [panel for panel in panels if panel["lines"] and len(panel["time"]) > 1]
+    counts = {name: np.add.reduceat(rows[name][:end], np.arange(1, end, group)) for name in EVENTS}
+    return edges, {name: row / lasting for name, row in counts.items()}
 
 
 def _panel(title: str, time: Array, lines: dict[str, Array]) -> dict[str, Any]:

@@ -130,7 +130,7 @@ def test_plots_know_a_run_by_its_results_only():
     used = {name for p in scripts for name in re.findall(r"from (particles_mpi\S*) import (.+)", p.read_text())}
     assert {module for module, _ in used} == {
         "particles_mpi",
-        *(f"particles_mpi.{m}" for m in ("errors", "results.frame", "results.scenery")),
+        *(f"particles_mpi.{m}" for m in ("errors", "results.curves", "results.frame", "results.scenery")),
     }
     assert not [p for p in scripts if {"h5py", "mpi4py"} & set(libraries(p))]
 
