@@ -163,20 +163,14 @@ def survey(run: Any, choice: Choice, live: bool = False) -> tuple[list[PageColum
         columns = [PageColumn("position", "f4", False, middle.tolist(), [1.0, 1.0, 1.0])]
     else:
         columns = [PageColumn("position", "u2", False, lower.tolist(), (size / 65535).tolist())]
-    for name in first:
+    for name in [*first, "energy"]:  # the last one is computed by the page
         lows, tops, highs = np.array(ranges.get(name, [np.array([0.0, 1.0, 1.0])])).T
-        low, high = float(lows.min()), float(highs.max())
-        top = high if constant[name] else float(tops.max())
-        if name == "id":
-            columns.append(PageColumn(name, "i4" if high < 2**31 else "f8", constant[name], 0.0, 1.0, low, high))
-        elif name == "fixed":
-            columns.append(PageColumn(name, "u1", constant[name]))
-        elif choice.kind == "f4" or constant[name]:
-            columns.append(PageColumn(name, "f4", constant[name], 0.0, 1.0, low, top))
-        else:
-            columns.append(PageColumn(name, "u2", False, low, (high - low) / 65535 or 1.0, low, top))
-    energies = np.array(ranges.get("energy", [np.array([0.0, 1.0, 1.0])])).T
-    columns.append(PageColumn("energy", "", True, 0.0, 1.0, float(energies[0].min()), float(energies[1].max())))
+        same, low, high = constant.get(name, False), float(lows.min()), float(highs.max())
+        others = {"id": "i4" if high < 2**31 else "f8", "fixed": "u1", "energy": ""}
+        kind = others.get(name, "f4" if same else choice.kind)
+        offset, scale = (low, (high - low) / 65535 or 1.0) if kind == "u2" else (0.0, 1.0)
+        shown = (None, None) if name == "fixed" else (low, high if same or name == "id" else float(tops.max()))
+        columns.append(PageColumn(name, kind, same or name == "energy", offset, scale, *shown))
     return columns, lower, upper
 
 
