@@ -26,19 +26,18 @@ class Frame:
     def __getattr__(self, name: str) -> Array:
         if name.startswith("_"):
             raise AttributeError(name)
-        if name in self.fields:
-            values = self._read(name)
-        elif name == "fixed":  # stored only if a particle is
-            values = np.zeros(self.count, np.uint8)
-        else:
-            raise AttributeError(f"frame {self.index} has no field {name!r}; stored are {', '.join(self.fields)}")
-        vars(self)[name] = shown = as_shown(name, values)
-        return shown
+        try:
+            return self[name]
+        except KeyError as error:
+            raise AttributeError(*error.args) from None
 
     def __getitem__(self, name: str) -> Array:
-        if name not in self.fields and name != "fixed":
+        if name not in (*self.fields, "fixed"):  # the latter is stored only if a particle is
             raise KeyError(f"frame {self.index} has no field {name!r}; stored are {', '.join(self.fields)}")
-        values: Array = getattr(self, name)
+        if name not in vars(self):
+            stored = self._read(name) if name in self.fields else np.zeros(self.count, np.uint8)
+            vars(self)[name] = as_shown(name, stored)
+        values: Array = vars(self)[name]
         return values
 
     @property
