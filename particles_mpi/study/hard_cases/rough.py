@@ -1,12 +1,10 @@
 """Rough spheres: what friction holds up and what it does not, fast spins, mu = 0 and 1e6, very unlike masses."""
 
 from math import asin, atan, cos, pi, radians, sin, sqrt, tan
-from typing import Any
 
 import numpy as np
 
 from particles_mpi import Simulation
-from particles_mpi.particles import Array
 from particles_mpi.study.experiment import all_particles
 from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case, energies, largest_rise
 
@@ -27,18 +25,13 @@ def surfaces(run: CaseRun, gravity: list[float], friction: float, normals: list[
     return {"uniform_gravity": {"acceleration": gravity}, "collisions": dict(law), "walls": law | planes}
 
 
-def spinning(run: CaseRun, speed: float) -> Any:
-    """A spin for the scene's table, of one sphere that turns in the plane of the first axis and the last.
+def spinning(run: CaseRun, speed: float) -> list[float]:
+    """The spin of a sphere that turns in the plane of the first axis and the last: one number in the plane, a vector in space.
 
-    A number in the plane, a list of one vector in space. At speed > 0 the lowest point of the sphere moves along the first axis,
-    so that friction of a floor pushes the sphere backwards along it.
+    At speed > 0 the lowest point of the sphere moves along the first axis, so that friction of a floor pushes the sphere
+    backwards along it.
     """
-    return speed if run.dimension == 2 else [[0.0, -speed, 0.0]]
-
-
-def rolled(run: CaseRun, speed: float) -> Array:
-    """The same spin as one row of results: (1,) in the plane, (3,) in space."""
-    return np.array([speed] if run.dimension == 2 else [0.0, -speed, 0.0])
+    return [speed] if run.dimension == 2 else [0.0, -speed, 0.0]
 
 
 def energy_rise(sim: Simulation, time: float) -> float:
@@ -57,7 +50,7 @@ def top_speed(run: CaseRun) -> Finding:
     _, p = run.finish([ball], 0.01, effects=floor)
     given = mu * (1.0 + e) * fall
     off = float(np.abs(p.velocity[0] - (np.eye(run.dimension)[0] * -given + run.upright(e * fall))).max())
-    slower = float(np.abs(p.spin[0] - rolled(run, SPIN - given / (solid(run) * radius))).max() / SPIN)
+    slower = float(np.abs(p.spin[0] - spinning(run, SPIN - given / (solid(run) * radius))).max() / SPIN)
     lying = {"position": [run.upright(radius)], "spin": spinning(run, SPIN), "radius": radius}
     sim, p = run.finish([lying], 0.01, 100, surfaces(run, run.upright(-G), mu, [run.upright(1.0)], e))
     on = abs(p.velocity[0, 0] / (mu * G * sim.time) + 1.0)
@@ -125,7 +118,7 @@ def spinning_in_a_groove(run: CaseRun) -> Finding:
     sim = run.simulate([{"position": [place], "spin": spinning(run, spin), "radius": radius}], 0.002, effects=groove)
     slowing = sqrt(2.0) * mu * G / ((1.0 + mu * mu) * solid(run) * radius)
     rise = energy_rise(sim, 0.5)
-    off = float(np.abs(all_particles(sim).spin[0] - rolled(run, spin - 0.5 * slowing)).max() / spin)
+    off = float(np.abs(all_particles(sim).spin[0] - spinning(run, spin - 0.5 * slowing)).max() / spin)
     rise = max(rise, energy_rise(sim, spin / slowing - 0.4))
     p = all_particles(sim)
     moved, still = float(np.abs(p.position[0] - place).max()), not p.velocity.any() and not p.spin.any()
