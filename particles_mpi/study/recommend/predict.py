@@ -7,8 +7,7 @@ scene are told the same each time, unless its steps take too long to tell any.
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -16,6 +15,7 @@ from math import isfinite, log2
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from particles_mpi.errors import Interrupted, SceneError, StoppedError
 from particles_mpi.integrators.gauss_radau import TOLERANCE
 from particles_mpi.output.files import failing_together
 from particles_mpi.parallel.agreement import await_all
-from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.forecast import Forecast
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
@@ -87,11 +86,18 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
 
 
 def rehearse(sim: Simulation) -> Forecast:
-    """What a trial of the first half second, with output, says of the whole run. Collective."""
-    with temporary_folder(sim.ranks) as folder:
-        job = Job(sim, folder, rehearsal=True)
+    """What a trial of the first half second, with output, says of the whole run. Collective.
+
+    It writes into a folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed.
+    """
+    ranks = sim.ranks
+    with failing_together(ranks, "cannot write into the working directory"):
+        place = Path.cwd() if os.access(Path.cwd(), os.W_OK) else None
+        made = TemporaryDirectory(prefix=".check-", dir=place, ignore_cleanup_errors=True) if ranks.is_root else nullcontext("")
+    with made as folder:
+        job = Job(sim, Path(ranks.bcast(folder)), rehearsal=True)
         job.run()
-    forecast: Forecast | None = sim.ranks.bcast(job.forecast)
+    forecast: Forecast | None = ranks.bcast(job.forecast)
     if forecast is None:
         raise Interrupted("stopped before anything could be predicted")
     return forecast
@@ -135,16 +141,6 @@ def without_effect(sim: Simulation, name: str) -> Simulation:
     if name:
         twin.effects[name].active = False
     return twin
-
-
-@contextmanager
-def temporary_folder(ranks: Communicator) -> Iterator[Path]:
-    """A folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed. Collective."""
-    with failing_together(ranks, "cannot write into the working directory"):
-        place = Path.cwd() if os.access(Path.cwd(), os.W_OK) else None
-        made = TemporaryDirectory(prefix=".check-", dir=place, ignore_cleanup_errors=True) if ranks.is_root else nullcontext("")
-    with made as name:
-        yield Path(ranks.bcast(name))
 
 
 def predict_contacts(sim: Simulation, benchmark: Benchmark, step: float) -> list[str]:
@@ -210,8 +206,7 @@ def error_of_tree(start: Start, record: Record, steps: int) -> str:
 def refined(scene: Scene, steps: int, halvings: int, effects: Changes | None = None) -> Scene:
     """The scene's first `steps`, each cut into 2^halvings; `adaptive` with a tolerance that much tighter, by tens, from its
     own one, or ten times the tightest, on."""
-    time = scene.time.model_dump(exclude_none=True) | {"step": scene.time.step, "steps": steps}
-    time.pop("end", None)
+    time: dict[str, Any] = {"steps": steps, "end": None}
     if scene.time.integrator == "adaptive":
         tolerance = max(scene.time.tolerance or TOLERANCE, 10.0 * TOLERANCES[0]) / 10.0**halvings
         time["tolerance"] = max(tolerance, TOLERANCES[0])  # not past it by an ulp
