@@ -1,5 +1,6 @@
 """What accuracy costs in a scene of the user's: its settings on a ladder of steps, and what each of its effects costs."""
 
+from functools import partial
 from math import isnan, nan
 
 from particles_mpi import Scene
@@ -7,8 +8,9 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.parallel.agreement import await_all
 from particles_mpi.study.experiment import Benchmark, Experiment, Setting
 from particles_mpi.study.recommend.methods import as_it_is, methods
+from particles_mpi.study.recommend.predict import without_effect
 from particles_mpi.study.recommend.reference import reference
-from particles_mpi.study.recommend.runs import Start, variant
+from particles_mpi.study.recommend.runs import Start
 from particles_mpi.study.recommend.search import BUDGET_SECONDS, Search, time_trials
 
 STEP_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
@@ -20,7 +22,7 @@ MEANING = {
 
 
 def experiments(benchmark: Benchmark, scene: Scene) -> list[Experiment]:
-    """Two experiments: settings of the scene, and its effects left out in turn. Collective; few bodies on rank 0 alone."""
+    """Two experiments: settings of the scene, and its effects switched off in turn. Collective; few bodies on rank 0 alone."""
     return Start(benchmark, scene).on_few(lambda start: [settings(start), effects(start)]) or []
 
 
@@ -51,23 +53,20 @@ def settings(start: Start) -> Experiment:
 
 
 def effects(start: Start) -> Experiment:
-    """Seconds of a step with all effects, and with each left out in turn, from the same start."""
-    scene, answers = start.scene, list[str]()
-    steps = max(4, min(scene.steps, 100))
-    time = {key: value for key, value in scene.time.model_dump(exclude_none=True).items() if key != "end"} | {"steps": steps}
-    tried = []
-    for name in ["", *scene.effects]:
+    """Seconds of a step with all effects, and with each switched off in turn, from the same start."""
+    scene, answers, tried = start.scene, list[str](), []
+    sim, steps = start.simulate(scene), max(4, min(scene.steps, 100))
+    for name in ["", *scene.active]:
+        begin = partial(without_effect, sim, name)
         try:
-            less = variant(scene, time, {name: None} if name else {})
-            start.simulate(less).step()
+            begin().step()
         except (SceneError, StoppedError) as error:
             await_all(start.benchmark.ranks, error)
             answers.append(f"without {name}: {str(error).splitlines()[0]}")
             continue
-        begin = lambda less=less: start.simulate(less)  # noqa: E731
         curve = f"without {name}" if name else "all effects"
         tried.append(Setting(curve, scene.time.step, begin, steps, lambda sim: {"share": nan}, seconds_of=1))
-    answers.append("an effect left out changes the motion too: shares need not add up to 1")
+    answers.append("an effect that is switched off changes the motion too: shares need not add up to 1")
     errors = {"share": "of the seconds of a step that go when the effect does"}
     title, reference = f"What each effect costs a step: {scene.title or 'the scene'}", "the scene with all its effects"
     found = start.benchmark.compare("H", title, tried, errors, reference, answers=answers)

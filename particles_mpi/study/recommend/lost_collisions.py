@@ -7,9 +7,8 @@ from particles_mpi import Scene, Simulation
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.parallel.agreement import await_all
 from particles_mpi.study.experiment import Benchmark, total_count
-from particles_mpi.study.recommend.counted_seconds import counted_seconds
 from particles_mpi.study.recommend.methods import EVENT
-from particles_mpi.study.recommend.runs import variant
+from particles_mpi.study.recommend.runs import counted_seconds, variant
 
 
 class BesideEvent(NamedTuple):
@@ -46,9 +45,8 @@ def beside_event(benchmark: Benchmark, scene: Scene, seconds: float) -> BesideEv
     """
     done = found = exact = same = 0
     try:
-        time = scene.time.model_dump(exclude_none=True)
         modes = [EVENT] if scene.effects["collisions"].mode == "event" else [{}, EVENT]
-        runs = [Simulation(variant(scene, time, changes), comm=benchmark.comm) for changes in modes]
+        runs = [Simulation(variant(scene, {}, changes), comm=benchmark.comm) for changes in modes]
         while done < scene.steps and sum(map(counted_seconds, runs)) < seconds:
             number = min(max(done, 1), scene.steps - done)
             for sim in runs:

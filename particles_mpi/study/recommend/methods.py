@@ -52,8 +52,9 @@ class Method:
     def scene(self, resolution: float, part: float) -> Scene:
         """A variant of the scene that ends after a part of the run. SceneError if it is refused."""
         steps = self.steps(resolution, part)
-        time: dict[str, Any] = {"step": part * self.start.duration / steps, "steps": steps, "integrator": self.integrator}
-        return variant(self.start.scene, time | ({"tolerance": 1.0 / resolution} if self.adaptive else {}), self.changes)
+        time: dict[str, Any] = {"step": part * self.start.duration / steps, "steps": steps, "end": None}
+        time |= {"integrator": self.integrator, "tolerance": 1.0 / resolution if self.adaptive else None}
+        return variant(self.start.scene, time, self.changes)
 
     def describe(self, resolution: float, part: float) -> str:
         """Its step, in a part of the run that was measured, or its tolerance, for people."""

@@ -14,7 +14,6 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.parallel.agreement import await_all
 from particles_mpi.particles import Array
-from particles_mpi.study.recommend.counted_seconds import counted_seconds
 from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric
 from particles_mpi.study.recommend.methods import DIRECT, EVENT
 from particles_mpi.study.recommend.runs import (
@@ -23,6 +22,7 @@ from particles_mpi.study.recommend.runs import (
     Record,
     Start,
     TooLongError,
+    counted_seconds,
     follow,
     variant,
     whole_parts,
@@ -60,8 +60,8 @@ def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
 
 def exact_scene(start: Start, steps: int, duration: float, **time: Any) -> Scene:
     """The scene with contacts in order of time and forces over all pairs, in so many steps; `time`: other keys of [time]."""
-    changes = {name: options for name, options in (EVENT | DIRECT).items() if name in start.scene.effects}
-    return variant(start.scene, {"step": duration / steps, "steps": steps, "integrator": "leapfrog", **time}, changes)
+    default = {"end": None, "integrator": "leapfrog", "tolerance": None}
+    return variant(start.scene, default | {"step": duration / steps, "steps": steps, **time}, EVENT | DIRECT)
 
 
 def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import chain
 from math import isfinite, sqrt
 from time import perf_counter
 from typing import Any
@@ -24,7 +23,6 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import RUN_MADE, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
 from particles_mpi.study.experiment import Benchmark, all_particles, total_count
-from particles_mpi.study.recommend.counted_seconds import counted_seconds
 
 DISPLACEMENT = 1e-12  # of the size of a motion: how far a displaced start is from the start
 FEW_PARTICLES = 64  # particles that more than one rank would only slow down
@@ -37,28 +35,44 @@ ENERGY_SAMPLES = 32  # moments at which energies are, about
 LOOKS, GOLDEN = 48, 0.5 * (5.0**0.5 - 1.0)  # at where the particles are, at moments that no period has
 STATISTICS = ("collision rate", "wall hits", "kinetic energy", "height")  # what chaotic motion is judged by
 
-Changes = dict[str, dict[str, Any] | None]  # keys of effects that change, and effects that are left out (None)
+# What `counted_seconds` takes for one laptop's core, in seconds:
+CONTACT, INTERACTION = 1.2e-6, 1e-9  # of a contact; of a pair that attracts, or what a tree puts in its place
+STEP, FORCE = 1e-4, 2e-5  # of a step, and of a sum of forces, where each is a call from Python
+STEP_OF_MANY, FORCE_OF_MANY = 1e-6, 1e-7  # where `ManySteps` computes them
+KEEPING = 5e-4  # more of a step where contacts may last
+ROW, KEPT, RESTING = 8e-8, 2e-7, 5e-6  # of a particle in a step; more where contacts may last, and of one whose contacts do
+
+Changes = dict[str, dict[str, Any]]  # keys of effects that change, by effect; None for a default
 
 
 class TooLongError(StoppedError):
     """A run that takes more `counted_seconds` than it was given."""
 
 
+def counted_seconds(sim: Simulation) -> float:
+    """Seconds of all that a simulation has done so far, by the work that it has counted, on any ranks. Collective.
+
+    How much of a scene is measured, and against how good a reference, depends on what that takes. A clock would let it depend on
+    the machine and on the hour, and so would the errors that a study tells. These seconds are right within a factor of three in
+    the scenes that come with the program.
+    """
+    work, many = sim.work(), sim.many_steps and not sim.active.pairs
+    step = (STEP_OF_MANY if many else STEP) + ROW * sim.total
+    if sim.persistent and not many:
+        step += KEEPING + KEPT * sim.total + RESTING * sim.ranks.total(np.count_nonzero(sim.rows["supported"]))[0]
+    force = FORCE_OF_MANY if many else FORCE
+    return sim.steps_done * step + work["forces"] * force + work["interactions"] * INTERACTION + work["events"] * CONTACT
+
+
 def variant(scene: Scene, time: dict[str, Any], effects: Changes | None = None) -> Scene:
-    """The scene with another [time] and other effects; a key that is None takes its default. SceneError if that is refused."""
-    tables, changes = scene.to_dict() | {"time": time}, effects or {}
-    tables["effects"] = {
-        name: {key: value for key, value in (options | (changes.get(name) or {})).items() if value is not None}
-        for name, options in tables["effects"].items()
-        if changes.get(name, {}) is not None
-    }
-    columns = {name: options.effect_class().needs.columns.keys() for name, options in scene.effects.items()}
-    idle = {*chain(*columns.values())} - {*chain(*(columns[name] for name in tables["effects"]))}
-    for table in tables["particles"]:
-        for key in idle:
-            table.pop(key, None)
-        if table.get("velocity") == "equilibrium" and "mutual_gravity" not in tables["effects"]:
-            table.pop("velocity")
+    """The scene with other keys of [time] and of effects; one that is None takes its default. SceneError if that is refused."""
+
+    def changed(table: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+        return {key: value for key, value in (table | changes).items() if value is not None}
+
+    tables, changes = scene.to_dict(), effects or {}
+    tables["time"] = changed(tables["time"], time)
+    tables["effects"] = {name: changed(options, changes.get(name, {})) for name, options in tables["effects"].items()}
     return Scene.from_dict(tables, scene.folder)
 
 
@@ -72,8 +86,7 @@ class Start:
         same_on_all(benchmark.ranks, scene.to_dict(), self.particles.arrays)
         self.total = len(self.particles)
         effects = ActiveEffects(scene, switched_off=True)
-        hard = [contact for contact in (effects.pairs, effects.walls) if contact is not None]
-        self.contacts = bool(hard or effects.events)
+        self.contacts = bool(effects.pairs or effects.walls or effects.events)
         self.dissipates = bool(effects.on_velocities or effects.events)
         self.smooth = not self.contacts and not self.dissipates  # forces depend on places alone: all integrators apply
         self.forces = list(effects.forces)
@@ -170,19 +183,18 @@ def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.i
     """Run a simulation to the end of its scene. Collective; TooLongError after `patience` `counted_seconds`."""
     steps, began = sim.scene.steps, perf_counter()
     snapshot_steps, energy_steps = steps // snapshots, max(1, steps // ENERGY_SAMPLES)
-    looks = sorted({max(1, round(steps * (k * GOLDEN % 1.0))) for k in range(LOOKS)})
+    looks = {max(1, round(steps * (k * GOLDEN % 1.0))) for k in range(LOOKS)}
     places, at_snapshots, energies, spreads = [], [], [total_and_kinetic(sim)], []
-    while sim.steps_done < steps:
-        ahead = [k - sim.steps_done % k for k in (energy_steps, snapshot_steps, steps)]
-        sim.steps(min([*ahead, *(look - sim.steps_done for look in looks[:1])]))
-        if sim.steps_done in looks[:1]:
+    moments = {*looks, *range(energy_steps, steps, energy_steps), *range(snapshot_steps, steps, snapshot_steps), steps}
+    for step in sorted(moments):
+        sim.steps(step - sim.steps_done)
+        if step in looks:
             spreads.append(start.spread(sim))
-            del looks[0]
-        if sim.steps_done % energy_steps == 0 or sim.steps_done == steps:
+        if step % energy_steps == 0 or step == steps:
             energies.append(total_and_kinetic(sim))
-            if patience < np.inf and sim.steps_done < steps and counted_seconds(sim) > patience:
+            if patience < np.inf and step < steps and counted_seconds(sim) > patience:
                 raise TooLongError(f"longer than {patience:.3g} s")
-        if sim.steps_done % snapshot_steps == 0:
+        if step % snapshot_steps == 0:
             places.append(all_particles(sim).position)
             at_snapshots.append(total_and_kinetic(sim)[0])
     sim.watch()

@@ -68,8 +68,8 @@ def count_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     make_folder(world, folder)
     with raising_together(world):
         scene = described or Scene.load(HEADLINE)
-        time, modes = scene.to_dict()["time"], ("rewind", "event")
-        scenes = [described] if described else [variant(scene, time, {"collisions": {"mode": mode}}) for mode in modes]
+        modes = ("rewind", "event")
+        scenes = [described] if described else [variant(scene, {}, {"collisions": {"mode": mode}}) for mode in modes]
     counts = [number for number in rank_counts(world.size) if number <= (QUICK_RANKS if quick else inf)]
     tables: dict[str, list[dict[str, Any]]] = {"counts.csv": [], "counts_model.csv": []}
     for scene in scenes:
