@@ -11,7 +11,6 @@ examples:
 draws into phases.png (one run), strong_scaling.png or weak_scaling.png in plots/ of the first run
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,37 +22,27 @@ from run_files import BLUE, DEFAULT_RUN, RED, finish, new_parser, parse, save_pa
 
 from particles_mpi import Run
 
-OUTSIDE = ("setup", "loop")  # timers that are not phases of the loop
 MOST = 8  # phases with a colour of their own in stacked bars
 LIGHT = "#b6bcc6"
 
 
-@dataclass
 class Timing:
-    """The timers of one run, in seconds: {"min", "mean", "max"} over ranks; `phases` are parts of the loop."""
+    """The timers of one run, in seconds: {"min", "mean", "max"} over ranks; `phases` are parts of the `loop`, after `setup`.
 
-    run: Run
-    ranks: int
-    setup: dict[str, float]
-    loop: dict[str, float]
-    phases: dict[str, dict[str, float]]
-    words: dict[str, str]  # for the names of phases, as in the table at the end of a run
-    first: int  # the step from which on all this is; above 0 where the run went on from there
+    words: for the names of phases, as in the table at the end of a run; first: the step from which on all this is, above 0 where
+    the run went on from there; rest: time of the loop that no phase counts.
+    """
 
-    @property
-    def rest(self) -> float:
-        """Time of the loop that no phase counts."""
-        return max(0.0, self.loop["mean"] - sum(phase["mean"] for phase in self.phases.values()))
-
-
-def read_timing(run: Run) -> Timing:
-    info = run.about
-    try:
-        timers = dict(info["timers"])
-        setup, loop = (timers.pop(name) for name in OUTSIDE)
-        return Timing(run, int(info["ranks"]), setup, loop, timers, info.get("phases", {}), info.get("timed_from", 0))
-    except KeyError as name:
-        stop(f"no {name} in {run.folder / 'run.json'} (it is written when a run ends)")
+    def __init__(self, run: Run):
+        self.run, info = run, run.about
+        try:
+            self.phases: dict[str, dict[str, float]] = dict(info["timers"])
+            self.setup, self.loop = (self.phases.pop(name) for name in ("setup", "loop"))
+            self.ranks = int(info["ranks"])
+        except KeyError as name:
+            stop(f"no {name} in {run.folder / 'run.json'} (it is written when a run ends)")
+        self.words, self.first = info.get("phases", {}), info.get("timed_from", 0)
+        self.rest = max(0.0, self.loop["mean"] - sum(phase["mean"] for phase in self.phases.values()))
 
 
 def odd_one(timings: list[Timing]) -> Path | None:
@@ -159,7 +148,7 @@ def main() -> None:
     parser.add_argument("runs", nargs="*", type=Path, default=[DEFAULT_RUN], metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     parser.add_argument("--weak", action="store_true", help="the runs have a constant load per rank")
     options = parse(parser)
-    timings = [read_timing(Run(run)) for run in options.runs]
+    timings = [Timing(Run(run)) for run in options.runs]
     if len(timings) == 1:
         if options.weak:
             stop("--weak needs several runs")

@@ -22,7 +22,7 @@ from particles_mpi.parallel.agreement import raising_together, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import RUN_MADE, Array, Particles, default_values
 from particles_mpi.scene.active import ActiveEffects, fields_of
-from particles_mpi.study.experiment import Benchmark, all_particles, total_count
+from particles_mpi.study.experiment import Benchmark, Errors, all_particles, total_count
 
 DISPLACEMENT = 1e-12  # of the size of a motion: how far a displaced start is from the start
 FEW_PARTICLES = 64  # particles that more than one rank would only slow down
@@ -155,28 +155,19 @@ class Record:
     """What is kept of a run.
 
     places: (snapshots, N, d) at the snapshots; energy: (snapshots,) there; energies, kinetic: at more moments, the start too;
-    heights: (snapshots,) of the centre of all particles against gravity; motion: its size, the root mean square distance of what
-    moves from the middle of it at the start, at LOOKS moments: for one particle this is how far it gets; 1 if nothing moves;
-    duration: time units; seconds: with all snapshots, on the slowest rank; counted: `counted_seconds`, the same each time.
+    observables: of the whole run by their names, STATISTICS: rates in a time unit, means; motion: its size, the root mean square
+    distance of what moves from the middle of it at the start, at LOOKS moments: for one particle this is how far it gets; 1 if
+    nothing moves; seconds: with all snapshots, on the slowest rank; counted: `counted_seconds`, the same each time.
     """
 
     places: Array
     energy: Array
     energies: Array
     kinetic: Array
-    collisions: int
-    wall_hits: int
-    heights: Array
+    observables: Errors
     motion: float
-    duration: float
     seconds: float
     counted: float
-
-    @property
-    def observables(self) -> dict[str, float]:
-        """Of the run, by name; rates are those of a time unit."""
-        rates = self.collisions / self.duration, self.wall_hits / self.duration
-        return dict(zip(STATISTICS, (*rates, float(self.kinetic[1:].mean()), float(self.heights.mean())), strict=True))
 
 
 def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.inf) -> Record:
@@ -200,14 +191,14 @@ def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.i
     sim.watch()
     found = np.array(places).reshape(snapshots, start.total, sim.scene.dimension)
     size = float(np.sqrt((sim.g**2).sum()))
-    up = -sim.g / size if size > 0.0 else sim.g
-    heights = (found.mean(axis=1) * up).sum(axis=1) if start.total else np.zeros(snapshots)
+    up = -sim.g / size if size > 0.0 else sim.g  # heights are those of the centre of all particles
     sums, kinetic = np.array(energies).T
-    counts = total_count(sim, "collisions"), total_count(sim, "wall_hits")
+    rates = (total_count(sim, name) / (steps * sim.h) for name in ("collisions", "wall_hits"))
+    means = float(kinetic[1:].mean()), float((found.mean(axis=1) * up).sum(axis=1).mean())
+    observables = dict(zip(STATISTICS, (*rates, *means), strict=True))
     motion = sqrt(float(np.mean(spreads))) or 1.0
-    seconds = sim.ranks.largest(perf_counter() - began)[0]
-    cost = seconds, counted_seconds(sim)
-    return Record(found, np.array(at_snapshots), sums, kinetic, *counts, heights, motion, steps * sim.h, *cost)
+    cost = sim.ranks.largest(perf_counter() - began)[0], counted_seconds(sim)
+    return Record(found, np.array(at_snapshots), sums, kinetic, observables, motion, *cost)
 
 
 def apart_all_along(start: Start, coarse: Scene, fine: Scene) -> float:
