@@ -13,7 +13,7 @@ from spheres import paint_spheres
 
 from particles_mpi import Run
 from particles_mpi.results.frame import Frame
-from particles_mpi.results.scenery import in_space, scenery
+from particles_mpi.results.scenery import Scenery, in_space
 
 HEADING, LETTER = 13, 0.1  # size of the letters of the heading, and how wide one is, in inches; long titles have smaller ones
 SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so
@@ -87,7 +87,7 @@ class Picture:
         self.title, scene = run.title, run.about.get("scene", {})
         self.value, self.label, self.colormap, self.top = color_of(color)
         self.survey(frames)
-        around = scenery(scene, self.lower, self.upper)
+        around = Scenery(scene, self.lower, self.upper)
         margin = 0.0 if around.real else MARGIN * np.max(around.upper - around.lower)
         self.lower, self.upper = around.lower - margin, around.upper + margin
         if self.planar:

@@ -20,7 +20,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.output.replacing import replace_text
 from particles_mpi.particles import Array
 from particles_mpi.results.curves import curves
-from particles_mpi.results.scenery import in_space, scenery
+from particles_mpi.results.scenery import Scenery, in_space
 
 HERE = Path(__file__).parent
 BASE64 = 4 / 3  # bytes of text for a byte
@@ -228,7 +228,7 @@ def described(run: Any, choice: Choice) -> dict[str, Any]:
 
 def surroundings(run: Any, lower: Array, upper: Array) -> dict[str, Any]:
     """Box and walls; lower, upper: the extent of the spheres."""
-    around = scenery(run.about.get("scene", {}), lower, upper)
+    around = Scenery(run.about.get("scene", {}), lower, upper)
     low, high = np.minimum(lower, around.lower), np.maximum(upper, around.upper)  # open walls let spheres out of the box
     return {
         "box": {"lower": around.lower.tolist(), "upper": around.upper.tolist(), "real": around.real},

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from itertools import combinations, product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,49 +17,45 @@ from particles_mpi.particles import Array
 FACE_TOLERANCE = 1e-9  # of the diagonal: a plane that is no further from the faces of the box is one of them, or outside
 
 
-class Scenery(NamedTuple):
-    """lower, upper (3,): corners; periodic (3,); real: has the scene a box?; walls: (polygon (m, 3), normal (3,)) of each."""
-
-    lower: Array
-    upper: Array
-    periodic: Array
-    real: bool
-    walls: list[tuple[Array, Array]]
-
-
 def in_space(values: ArrayLike) -> Array:
     """Vectors of any dimension as (x, y, z): missing coordinates are 0, those past the third are left out."""
     vectors = np.asarray(values, dtype=float)[..., :3]
     return np.concatenate([vectors, np.zeros((*vectors.shape[:-1], 3 - vectors.shape[-1]))], axis=-1)
 
 
-def scenery(scene: dict[str, Any], lower: Array, upper: Array) -> Scenery:
-    """Of a scene as tables; `lower`, `upper` (3,): the extent of the particles, which stands for a box where there is none."""
-    box = scene.get("box")
-    periodic = np.zeros(3, bool)
-    if box:
-        lower, upper = in_space(box["lower"]), in_space(box["upper"])
-        flags = box.get("periodic") or False
-        flags = flags if isinstance(flags, list) else [flags] * len(box["lower"])
-        periodic[: len(flags)] = flags[:3]
-    elif not np.any(upper > lower):  # a single point, or no particle at all
-        lower, upper = np.full(3, -1.0), np.ones(3)
-    options = (scene.get("effects") or {}).get("walls") or {}
-    given = (options.get("planes") or []) if options.get("active", True) else []  # what is switched off is not there
-    planes = [(in_space(plane["point"]), in_space(plane["normal"])) for plane in given if np.any(in_space(plane["normal"]))]
-    walls = []
-    for point, normal in planes:
-        corners = section(point, normal, lower, upper)
-        for other in planes:
-            corners = in_front(corners, *other, FACE_TOLERANCE * float(np.linalg.norm(upper - lower)))
-        if len(corners) > 1:
-            walls.append((corners, normal))
-    return Scenery(lower, upper, periodic, bool(box), walls)
+class Scenery:
+    """What stands around the particles of a scene, which is given as tables.
+
+    lower, upper (3,): corners of the box, or where there is none the extent of the particles that is given; periodic (3,); real:
+    has the scene a box?; walls: (polygon (m, 3), normal (3,)) of each.
+    """
+
+    def __init__(self, scene: dict[str, Any], lower: Array, upper: Array):
+        box = scene.get("box")
+        self.real, self.periodic = bool(box), np.zeros(3, bool)
+        if box:
+            lower, upper = in_space(box["lower"]), in_space(box["upper"])
+            flags = box.get("periodic") or False
+            flags = flags if isinstance(flags, list) else [flags] * len(box["lower"])
+            self.periodic[: len(flags)] = flags[:3]
+        elif not np.any(upper > lower):  # a single point, or no particle at all
+            lower, upper = np.full(3, -1.0), np.ones(3)
+        self.lower, self.upper = lower, upper
+        options = (scene.get("effects") or {}).get("walls") or {}
+        given = (options.get("planes") or []) if options.get("active", True) else []  # what is switched off is not there
+        planes = [(in_space(plane["point"]), in_space(plane["normal"])) for plane in given if np.any(in_space(plane["normal"]))]
+        self.walls: list[tuple[Array, Array]] = []
+        for point, normal in planes:
+            corners = section(point, normal, lower, upper)
+            for other in planes:
+                corners = in_front(corners, *other, FACE_TOLERANCE * float(np.linalg.norm(upper - lower)))
+            if len(corners) > 1:
+                self.walls.append((corners, normal))
 
 
 def paraview_script(folder: Path, scene: dict[str, Any]) -> str:
     """The script that shows the run of a scene (as tables) in this folder."""
-    around = scenery(scene, np.zeros(3), np.zeros(3))
+    around = Scenery(scene, np.zeros(3), np.zeros(3))
     facts = {
         "folder": str(folder.resolve()),
         "box": [around.lower.tolist(), around.upper.tolist()] if around.real else None,

@@ -10,7 +10,7 @@ import pytest
 from particles_mpi import Run, Scene, SceneError, Simulation
 from particles_mpi.results.curves import MOST_ROWS, curves
 from particles_mpi.results.page import Choice, PageColumn, choose, pack, page, survey, write_page
-from particles_mpi.results.scenery import scenery, section
+from particles_mpi.results.scenery import Scenery, section
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +176,7 @@ def test_the_section_of_a_cube_through_its_middle_is_a_regular_hexagon():
 
 def test_a_plane_in_two_dimensions_is_a_line():
     scene = {"box": {"lower": [0, 0], "upper": [2, 1]}, "effects": {"walls": {"planes": [{"point": [1, 0.5], "normal": [0, 2]}]}}}
-    ((corners, _),) = scenery(scene, np.zeros(3), np.ones(3)).walls
+    ((corners, _),) = Scenery(scene, np.zeros(3), np.ones(3)).walls
     assert sorted(corners.tolist()) == [[0, 0.5, 0], [2, 0.5, 0]]
 
 
@@ -187,7 +187,7 @@ def test_walls_end_where_they_meet():
         {"point": [0.5, 0, 0.2], "normal": [-1, 0, 1]},
         {"point": [0, 0, 0.1], "normal": [0, 0, 1]},
     ]
-    around = scenery(
+    around = Scenery(
         {"box": {"lower": [0, 0, 0], "upper": [1, 1, 1]}, "effects": {"walls": {"planes": planes}}}, np.zeros(3), np.ones(3)
     )
     assert len(around.walls) == 2
@@ -201,14 +201,14 @@ def test_an_axis_of_the_box_is_periodic_where_the_scene_says_so():
         flags = [k % 2 == 0 for k in range(d)]
         for given, right in ((True, [True] * d), (False, [False] * d), (flags, flags)):
             box = {"lower": [0] * d, "upper": [4] * d, "periodic": given}
-            assert scenery({"box": box}, np.zeros(3), np.ones(3)).periodic.tolist() == [*right, False, False][:3]
+            assert Scenery({"box": box}, np.zeros(3), np.ones(3)).periodic.tolist() == [*right, False, False][:3]
 
 
 def test_walls_that_are_switched_off_are_not_drawn():
     planes = [{"point": [2, 2, 2], "normal": [0, 0, 1]}]
     for active in (False, True):
         box, walls = {"lower": [0, 0, 0], "upper": [4, 4, 4]}, {"active": active, "planes": planes}
-        assert len(scenery({"box": box, "effects": {"walls": walls}}, np.zeros(3), np.ones(3)).walls) == active
+        assert len(Scenery({"box": box, "effects": {"walls": walls}}, np.zeros(3), np.ones(3)).walls) == active
 
 
 def test_what_is_no_number_is_not_shown_as_zero():
