@@ -8,9 +8,8 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.parallel.agreement import await_all
 from particles_mpi.study.experiment import Benchmark, Experiment, Setting
 from particles_mpi.study.recommend.methods import as_it_is, methods
-from particles_mpi.study.recommend.predict import without_effect
 from particles_mpi.study.recommend.reference import reference
-from particles_mpi.study.recommend.runs import Start
+from particles_mpi.study.recommend.runs import Start, variant
 from particles_mpi.study.recommend.search import BUDGET_SECONDS, Search, time_trials
 
 STEP_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
@@ -55,10 +54,10 @@ def settings(start: Start) -> Experiment:
 def effects(start: Start) -> Experiment:
     """Seconds of a step with all effects, and with each switched off in turn, from the same start."""
     scene, answers, tried = start.scene, list[str](), []
-    sim, steps = start.simulate(scene), max(4, min(scene.steps, 100))
+    steps = max(4, min(scene.steps, 100))
     for name in ["", *scene.active]:
-        begin = partial(without_effect, sim, name)
         try:
+            begin = partial(start.simulate, variant(scene, {"steps": steps, "end": None}, {name: {"active": False}}))
             begin().step()
         except (SceneError, StoppedError) as error:
             await_all(start.benchmark.ranks, error)
