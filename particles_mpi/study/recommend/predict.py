@@ -111,7 +111,7 @@ def costs_of(sim: Simulation, step: float) -> str:
     if step > LONGEST_TIMED_STEP:
         return ""
     timers = {}
-    for name in ("", *(name for name, options in sim.scene.effects.items() if options.active)):
+    for name in ("", *sim.scene.active):
         begin = partial(without_effect, sim, name)
         try:
             twin = begin()
