@@ -77,7 +77,7 @@ def test_losses(found):
 @pytest.mark.slow
 def test_bounces_and_that_they_are_the_same_twice(lab):
     """Of second order, as test_order_of_bounces.py finds by itself."""
-    bounces, again = (losses.bouncing(lab) for _ in range(2))
+    (bounces,), (again,) = (losses.bouncing(lab) for _ in range(2))
     assert [(row.errors, row.work) for row in bounces.rows] == [(row.errors, row.work) for row in again.rows]
     assert all(max(row.errors.values()) <= 0.03 * row.setting.parameter for row in bounces.rows)
     assert all(slope(bounces.curve(curve), "fixed sphere") == pytest.approx(2.0, abs=0.3) for curve in bounces.curves)
@@ -128,7 +128,7 @@ def test_rewind_against_the_step(lab, moment, passes, least):
 
 def test_a_ball_that_slides_and_rolls(lab):
     """Second order in place, over all phases of the step in which it begins to roll; the speed is right at any step."""
-    found = rough.rolling(lab)
+    (found,) = rough.rolling(lab)
     for curve in found.curves:
         assert slope(found.curve(curve), "place") == pytest.approx(2.0, abs=0.1)
     assert max(row.errors["speed"] for row in found.rows) < 1e-13

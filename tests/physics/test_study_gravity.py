@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from particles_mpi.study.accuracy import softening, tree
+from particles_mpi.study.accuracy.command import measure_letter
 from particles_mpi.study.experiment import Benchmark, Experiment, Row, Setting, slope
 from particles_mpi.study.timing import Seconds
 
@@ -15,7 +16,7 @@ def trees():
 
 @pytest.fixture(scope="module")
 def softened():
-    return softening.experiments(Benchmark(quick=True, samples=1))
+    return measure_letter("F", Benchmark(quick=True, samples=1))
 
 
 def errors(found, curve, name):

@@ -69,7 +69,7 @@ def throw(
 
 
 def throws(benchmark: Benchmark) -> list[Experiment]:
-    """With drag that slows down over many steps, with drag that stops within one (k h = 10 in the longest), and with friction.
+    """G1 to G3: with drag that slows down over many steps, that stops within one (k h = 10 in the longest), and with friction.
 
     Friction is as strong as the weight: what is thrown sideways falls at half the speed in the end.
     """
@@ -104,8 +104,8 @@ def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, 
     return benchmark.setting(curve, h, tables, errors, steps=ENDLESS_STEPS, seconds_of=round(BOUNCING_TIME / h))
 
 
-def bouncing(benchmark: Benchmark) -> Experiment:
-    """Contacts at any moment of a step."""
+def bouncing(benchmark: Benchmark) -> list[Experiment]:
+    """G4: contacts at any moment of a step. Collective."""
     steps, forces = (BOUNCE_STEPS[:2], FORCES[:3]) if benchmark.quick else (BOUNCE_STEPS, FORCES)
     tried = [bounce(benchmark, *with_) for with_ in product(forces, LOSSES, (("none", "drag"), ("friction",)), steps)]
     errors = {name: f"distance from the true place after a second, mean over the phases of a step: {name}" for name in OBSTACLES}
@@ -114,9 +114,4 @@ def bouncing(benchmark: Benchmark) -> Experiment:
     orders = [slope(found.curve(curve), name) for curve in found.curves for name in OBSTACLES]
     most = max(max(found.curve(curve)[0].errors.values()) for curve in found.curves)
     found.answers.append(f"order {min(orders):.2f} to {max(orders):.2f}; error at a step of {steps[0]:g} at most {most:.1e}")
-    return found
-
-
-def experiments(benchmark: Benchmark) -> list[Experiment]:
-    """G: four experiments. Collective."""
-    return [*throws(benchmark), bouncing(benchmark)]
+    return [found]

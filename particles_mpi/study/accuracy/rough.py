@@ -38,7 +38,7 @@ def sliding_balls(mode: str, step: float) -> dict[str, Any]:
     return {"dimension": 3, "time": {"step": step, "end": ROLL_TIME}, "particles": [balls], "effects": effects}
 
 
-def rolling(benchmark: Benchmark) -> Experiment:
+def rolling(benchmark: Benchmark) -> list[Experiment]:
     """J1: a ball slides until t = 2 v/(7 mu g), then it rolls at 5/7 v. Collective."""
 
     def errors(sim: Simulation) -> Errors:
@@ -57,7 +57,7 @@ def rolling(benchmark: Benchmark) -> Experiment:
     orders = ", ".join(f"{curve} {slope(found.curve(curve), 'place'):.2f}" for curve in found.curves)
     most = max(row.errors["speed"] for row in found.rows)
     found.answers = [f"order in place: {orders}", f"once they roll the speed is right at any step: within {most:.0e}"]
-    return found
+    return [found]
 
 
 def rough_bed(n: int, step: float, time: float, tolerance: float, particles: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -111,8 +111,3 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
         experiment("J2", "step", [(step, TOLERANCE) for step in STEPS]),
         experiment("J3", "contact_tolerance", [(STEP, tolerance) for tolerance in TOLERANCES]),
     ]
-
-
-def experiments(benchmark: Benchmark) -> list[Experiment]:
-    """J: three experiments. Collective."""
-    return [rolling(benchmark), *creeping(benchmark)]

@@ -50,8 +50,8 @@ def end(sim: Simulation) -> Array:
     return all_particles(sim).position[0]
 
 
-def kepler(benchmark: Benchmark) -> Experiment:
-    """Each softening over the same steps: the numerical error shrinks along a curve, that of the model stays."""
+def kepler(benchmark: Benchmark) -> list[Experiment]:
+    """F1: each softening over the same steps: the numerical error shrinks along a curve, that of the model stays. Collective."""
     exact = place_on_ellipse(3.0 * pi, E)  # at the apocentre, after one orbit
     pairs = {eps: [end(orbit(benchmark, eps, 2, integrator="adaptive", tolerance=t)) for t in TOLERANCES] for eps in SOFTENINGS}
     softened = {eps: fine for eps, (fine, _) in pairs.items()}
@@ -92,7 +92,7 @@ def kepler(benchmark: Benchmark) -> Experiment:
         f"a closer encounter, e = {LARGER_E:g}, in {ORBIT_STEPS[0]} steps: without softening the planet is thrown out and"
         f" {point:.2g} away at the end; with {ENCOUNTER_SOFTENING:g} it is {soft:.2g} away, on an orbit, but on another one",
     ]
-    return found
+    return [found]
 
 
 def smooth_field(r: Array, eps: float) -> Array:
@@ -130,8 +130,8 @@ def fields(n: int) -> dict[float, Errors]:
     return found
 
 
-def plummer(benchmark: Benchmark) -> Experiment:
-    """Softening of N particles that stand for a smooth sphere."""
+def plummer(benchmark: Benchmark) -> list[Experiment]:
+    """F2: softening of N particles that stand for a smooth sphere. Collective."""
 
     def one(eps: float) -> Setting:
         def errors(sim: Simulation) -> Errors:
@@ -152,9 +152,4 @@ def plummer(benchmark: Benchmark) -> Experiment:
         f"at first the bias grows as softening^{slope(smallest, 'model'):.2f}, the noise falls as"
         f" softening^{slope(smallest, 'numerical'):.2f}; a force takes the same time with any",
     ]
-    return found
-
-
-def experiments(benchmark: Benchmark) -> list[Experiment]:
-    """F: an orbit, and particles that stand for a smooth sphere. Collective."""
-    return [kepler(benchmark), plummer(benchmark)]
+    return [found]
