@@ -57,18 +57,10 @@ def compare(a: Frame, b: Frame, period: np.ndarray) -> tuple[dict[str, np.ndarra
         if name in CURVES:
             shift = of_a - of_b
             if name == "position":
-                wraps = np.isfinite(period)
+                wraps = period > 0
                 shift[:, wraps] -= period[wraps] * np.round(shift[:, wraps] / period[wraps])
             lengths[name] = np.linalg.norm(shift, axis=1)
     return {name: ids for name, ids in differ.items() if len(ids)}, lengths
-
-
-def periods(run: Run) -> np.ndarray:
-    """Length of the box along periodic axes, infinite along the others."""
-    box = run.about.get("scene", {}).get("box")
-    if not box:
-        return np.full(run.dimension, np.inf)
-    return np.where(box.get("periodic") or False, np.subtract(box["upper"], box["lower"]), np.inf)
 
 
 def describe(frame: Frame, differ: dict[str, np.ndarray]) -> str:
@@ -118,7 +110,7 @@ def main() -> None:
         stop("a run has no frame yet")
     if a.dimension != b.dimension:
         stop(f"the runs are in {a.dimension} and in {b.dimension} dimensions")
-    pairs, period = matching(a, b), periods(a)
+    pairs, period = matching(a, b), a.periodic_length
     if not pairs:
         stop("the two runs have no frame at the same time")
     first, radius = None, np.inf

@@ -113,7 +113,7 @@ def plot(axes: Axes, run: Run, span: float, title: str) -> None:
     smooth, d = not {"collisions", "walls"} & scene.get("effects", {}).keys(), run.dimension
     box, points = scene.get("box"), last.radius == 0.0
     lower = np.array(box["lower"] if box else [0.0] * d)
-    length = (np.array(box["upper"]) - lower) * box["periodic"] if box else np.zeros(d)
+    length = run.periodic_length
     if d == 1:
         moments, places = paths_of(run[:], smooth, length)
         for i in range(places.shape[1]):

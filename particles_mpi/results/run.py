@@ -112,6 +112,12 @@ class Run:
         return int(self.about.get("scene", {}).get("dimension", 3))
 
     @property
+    def periodic_length(self) -> Array:
+        """(d,): length of the box along periodic axes, 0 along the others."""
+        box = self.about.get("scene", {}).get("box")
+        return np.subtract(box["upper"], box["lower"]) * (box.get("periodic") or False) if box else np.zeros(self.dimension)
+
+    @property
     def title(self) -> str:
         """The title of the scene, else the name of the folder."""
         return self.about.get("scene", {}).get("title") or self.folder.resolve().name
