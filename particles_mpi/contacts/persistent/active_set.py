@@ -1,7 +1,9 @@
-"""The contacts that have an impulse, as `direct` chooses them, and their equations, by Cholesky's method."""
+"""Contacts that have an impulse, as `direct` chooses them: the order of their equations, and their solution (A.-L. Cholesky)."""
 
 from math import inf, sqrt
 from typing import NamedTuple
+
+import numpy as np
 
 from particles_mpi.kernels.jit import inner
 from particles_mpi.particles import Array
@@ -93,3 +95,51 @@ def solve_for_chosen(active, size):
     for r in range(size):
         active.x[r] = -active.speeds[active.chosen[r]]
     solve_factorized(active, size)
+
+
+@inner
+def contacts_by_row(rows, size):
+    """(start (size + 1,), of_row (2 m,)): the contacts of row i, among rows (m, 2), are of_row[start[i]:start[i + 1]]."""
+    every, start = rows.reshape(-1), np.zeros(size + 1, np.int64)
+    start[1:] = np.cumsum(np.bincount(every, minlength=size))
+    return start, np.argsort(every, kind="mergesort") // 2
+
+
+@inner
+def visit_from(first, done, start, of_row, rows, w, place, queue):
+    """Rows that contacts lead to from row `first`, the nearest ones first: to queue[done:], and their places there to `place`.
+
+    start (len(w) + 1,), of_row: see `contacts_by_row`. Returns how far the queue reaches.
+    """
+    queue[done], place[first], end = first, done, done + 1
+    while done < end:
+        i = queue[done]
+        done += 1
+        for n in range(start[i], start[i + 1]):
+            c = of_row[n]
+            j = rows[c, 1] if rows[c, 0] == i else rows[c, 0]
+            if w[j] > 0.0 and place[j] < 0:
+                queue[end], place[j] = j, end
+                end += 1
+    return end
+
+
+@inner
+def order_of_contacts(rows, w):
+    """The contacts (m,) in an order in which those of neighbours are near one another: from one end of a pile to the other.
+
+    Then all elements of their matrix, and of its factor, are near the diagonal (E. Cuthill and J. McKee, Proc. 24th Nat. Conf.
+    ACM, 157, 1969).
+    """
+    start, of_row = contacts_by_row(rows, len(w))
+    place, queue, done = np.full(len(w), -1, np.int64), np.empty(len(w), np.int64), 0
+    for first in range(len(w)):
+        if place[first] < 0 and w[first] > 0.0:
+            last = visit_from(first, done, start, of_row, rows, w, place, queue)
+            for i in queue[done:last]:
+                place[i] = -1
+            done = visit_from(queue[last - 1], done, start, of_row, rows, w, place, queue)
+    keys = np.empty(len(rows), np.int64)
+    for c in range(len(rows)):
+        keys[c] = max(place[rows[c, 0]], place[rows[c, 1]])
+    return np.argsort(keys, kind="mergesort")

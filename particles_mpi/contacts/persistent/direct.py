@@ -13,8 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.active_set import Active, change_impulses, factorize, solve_factorized, solve_for_chosen
-from particles_mpi.contacts.persistent.contact_order import contacts_by_row, order_of_contacts
+from particles_mpi.contacts.persistent.active_set import (
+    Active,
+    change_impulses,
+    contacts_by_row,
+    factorize,
+    order_of_contacts,
+    solve_factorized,
+    solve_for_chosen,
+)
 from particles_mpi.contacts.persistent.problem import IMPULSE, MAY_CLOSE, NORMAL, STEP
 from particles_mpi.kernels.jit import inner, kernel
 from particles_mpi.particles import Array
