@@ -1,4 +1,4 @@
-"""Which way contacts are solved: by iterations, of all ranks or of each for all (`together`), or directly (`direct`).
+"""Which way contacts are solved: by iterations, of all ranks or of each for all (`Together`), or directly (`direct`).
 
 Where iterations do not come to an end, few contacts are solved directly (`direct`): rough ones without friction, if iterations
 that begin there do not lead to a solution with it, for they must bear what lies on them.
@@ -12,10 +12,11 @@ from particles_mpi.contacts.persistent.descent import Iteration
 from particles_mpi.contacts.persistent.direct import solve_directly
 from particles_mpi.contacts.persistent.iterations import MOST_ITERATIONS, solve_each
 from particles_mpi.contacts.persistent.problem import STEP, Problem
-from particles_mpi.contacts.persistent.together import FEW_HALF_EDGES, Together
 from particles_mpi.parallel.communicator import Communicator
-from particles_mpi.particles import Array
+from particles_mpi.parallel.exchange import allgather_rows
+from particles_mpi.particles import Array, rows_of
 
+FEW_HALF_EDGES = 2_000  # half-edges of all ranks: so many are solved for by each
 DIRECT = 2000  # half-edges: if so many of smooth spheres are not solved after TRIED iterations, they are solved directly
 TRIED = 1000
 DIFFERENT = 1e4  # times the least inverse mass of rough spheres: if the largest is more, friction is given up where need be
@@ -53,46 +54,74 @@ class Solver:
         few = count <= DIRECT and every <= FEW_HALF_EDGES
         limit = MOST_ITERATIONS if not few else TRIED if smooth else 2 * MOST_ITERATIONS
         if ranks.size > 1 and every <= FEW_HALF_EDGES:
-            result, good, done = self.by_each_rank(problem, w, v, ids, count, least, limit, asleep)
+            together = Together(ranks, self.axes, problem, w, v, ids)
+            look = asleep and (lambda _: asleep(together.ours()))
+            good, done = together.run.until_good(Communicator.alone(), count, least, look, limit)
+            result = together.ours()
         else:
             run = Iteration(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
             good, done = run.until_good(ranks, count, least, asleep, limit)
             result = run.result
         if few and (not good or (smooth and done >= limit)):
-            result, good = self.directly(problem, w, v, ids, count, least, (result, good))
+            together = Together(ranks, self.axes, problem, w, v, ids)
+            solved = directly(together.run, count, least)
+            if solved is not None:  # else what iterations came to is as good
+                result, good = together.ours(), solved
         self.iterations += done
         return result, good, done == 0
 
-    def by_each_rank(
-        self, problem: Problem, w: Array, v: Array, ids: Array, count: int, least: int, limit: int, asleep: Asleep | None
-    ) -> tuple[Array, bool, int]:
-        """Few contacts, by iterations of each rank for all; `count`, `least`, `limit`: see `Iteration.until_good`."""
-        together = Together(self.ranks, ids, problem, w, v)
-        run = Iteration(self.axes, together.problem, together.w, together.v, None)
 
-        def ours(result: Array) -> Array:
-            return together.ours(result, v, problem.table, run.impulse_columns)
+class Together:
+    """The contacts of all ranks on each of them: of few, exchanges between ranks would take longer than the iterations.
 
-        look = asleep and (lambda result: asleep(ours(result)))
-        good, done = run.until_good(Communicator.alone(), count, least, look, limit)
-        return ours(run.result), good, done
+    Each rank then computes the same bits for all rows that have some, in the order of ids; other rows keep their velocities and
+    are not sent. `run`: the iterations of all rows. Collective.
+    """
 
-    def directly(
-        self, problem: Problem, w: Array, v: Array, ids: Array, count: int, least: int, so_far: tuple[Array, bool]
-    ) -> tuple[Array, bool]:
-        """Few contacts that iterations do not solve, by each rank for all, in the order of ids: (velocities, is it a solution?).
+    def __init__(self, ranks: Communicator, axes: tuple[float, ...], problem: Problem, w: Array, v: Array, ids: Array):
+        self.table, self.before = problem.table, v[: len(problem.start) - 1]
+        self.count = np.diff(problem.start)
+        ids_of = np.append(ids, -1)  # of a wall
+        columns = {"row": np.repeat(ids[: len(self.count)], self.count), "other": ids_of[problem.partner]}
+        columns |= {name: getattr(problem, name) for name in ("table", "per_allowed", "per_round_off")}
+        every = allgather_rows(ranks, columns)
+        self.mine = np.flatnonzero(self.count)
+        rows = allgather_rows(ranks, {"id": ids[self.mine], "v": v[self.mine], "w": w[self.mine]})
+        order = np.argsort(rows["id"])
+        known, every = rows["id"][order], rows_of(every, np.argsort(every["row"], kind="stable"))
+        partner = np.searchsorted(known, every["other"])
+        partner[every["other"] < 0] = len(known)
+        start = np.searchsorted(every["row"], np.append(known, 2**62))
+        of_all = Problem(start, partner.astype(np.int32), every["table"], every["per_allowed"], every["per_round_off"])
+        all_v = np.concatenate((rows["v"][order], np.zeros((1, v.shape[1]))))
+        all_w = np.concatenate((rows["w"][order], np.zeros((1, *w.shape[1:]))))
+        self.run = Iteration(axes, of_all, all_w, all_v, None)
+        self.place = np.searchsorted(known, ids[self.mine])
+        self.first = start[self.place]
 
-        `count`, `least`: see `Iteration.until_good`; `so_far`: what is returned where nothing better is found.
-        """
-        together, (result, good) = Together(self.ranks, ids, problem, w, v), so_far
-        run = Iteration(self.axes, together.problem, together.w, together.v, None)
-        if without_friction(run):
-            good = not run.rough or improve(run, count, least)
-        elif not run.rough:  # then it takes as many iterations as it takes
-            good, _ = run.until_good(Communicator.alone(), count, least, limit=MOST_ITERATIONS)
-        else:
-            return result, good
-        return together.ours(run.result, v, problem.table, run.impulse_columns), good
+    def ours(self) -> Array:
+        """Of the velocities so far those of our rows; to our table the impulses."""
+        count = self.count[self.mine]
+        within = np.arange(len(self.table)) - np.repeat(np.cumsum(count) - count, count)
+        theirs = np.repeat(self.first, count) + within
+        for column in self.run.impulse_columns:
+            self.table[:, column] = self.run.table[theirs, column]
+        ours = self.before.copy()
+        ours[self.mine] = self.run.result[self.place]
+        return ours
+
+
+def directly(run: Iteration, count: int, least: int) -> bool | None:
+    """Few contacts that iterations do not solve: are errors allowed now? None if nothing can be done.
+
+    All rows are here, in the order of ids. `count`, `least`: see `Iteration.until_good`.
+    """
+    if without_friction(run):
+        return not run.rough or improve(run, count, least)
+    if run.rough:
+        return None
+    good, _ = run.until_good(Communicator.alone(), count, least)  # it takes as many iterations as it takes
+    return good
 
 
 def without_friction(run: Iteration) -> bool:
