@@ -7,16 +7,7 @@ from typing import NamedTuple
 
 from particles_mpi.contacts.walls import finish_bounces
 from particles_mpi.integrators.collocation import END, FORCES, STUCK, begin, copy, go_on
-from particles_mpi.integrators.step_parts import (
-    copy_rows,
-    invalid,
-    keep_on_walls,
-    kick_bodies,
-    move,
-    set_rates,
-    someone_meets,
-    sum_forces,
-)
+from particles_mpi.integrators.step_parts import invalid, keep_on_walls, kick_bodies, move, set_rates, someone_meets, sum_forces
 from particles_mpi.kernels.jit import lean
 from particles_mpi.kernels.motion import kick
 from particles_mpi.kernels.validity import WATCH_EVERY
@@ -33,26 +24,12 @@ class Scheme(NamedTuple):
     taylor: bool
 
 
-class Budget(NamedTuple):
-    """How much work a call of `fixed_steps` does, about, in nanoseconds."""
-
-    step: float  # of a step in which nobody meets a wall
-    most: float  # the call ends with the step that reaches it
-
-
-class Until(NamedTuple):
-    """Where a call of `adaptive_steps` ends."""
-
-    steps: int  # so many steps are done
-    watch: int  # the first step after which the watchdog looks
-    sums: int  # about so many sums of forces
-
-
 @lean
 def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, budget, begun):
     """Up to `steps` steps as of `Composition` or `Taylor`; from step `watch` on, they end where the watchdog would stop the run.
 
-    Fewer steps where they are more work than `budget` allows: what rests on walls takes a hundred times as long as what flies.
+    budget: about how many nanoseconds a step takes in which nobody meets a wall, and after how many the call ends: what rests on
+    walls takes a hundred times as long as what flies.
     Where particles collide, they end before a step in which anyone could meet anyone. `begun` (n, d): room for the velocities at
     the start of a step; None where nobody collides, and then the kernel is compiled without that test, which would slow it down.
 
@@ -61,10 +38,10 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
     """
     hits, missed, sums, known, noted = 0, 0, 0, True, 0
     before, near, pushed = -1, -1, 0
-    resting = 0
+    resting, (step_ns, most_ns) = 0, budget
     for step in range(1, steps + 1):
         if begun is not None:
-            copy_rows(bodies.v, begun)
+            copy(bodies.v, begun)
         for part in range(len(scheme.kicks)):
             kicked, drifted = scheme.kicks[part] * h, scheme.drifts[part] * h
             if not known:
@@ -96,15 +73,17 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
                 kick(bodies.v, rate, kicked)
         if noted > 0:
             finish_bounces(bodies.v, space.rates, bodies.total, *space.last[1:], noted, h, space.planes[1], space.planes[2])
-        spent = budget.step * step + HIT * hits + ON_WALLS * resting
-        if spent >= budget.most or (step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
+        spent = step_ns * step + HIT * hits + ON_WALLS * resting
+        if spent >= most_ns or (step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
             return step, hits, missed, sums, known
     return steps, hits, missed, sums, known
 
 
 @lean
 def adaptive_steps(axes, bodies, flat, forces, space, tables, work, begun, need, done, h, until):
-    """Go on with steps as of `Adaptive`, of which so many are `done`, to where `until` says.
+    """Go on with steps as of `Adaptive`, of which so many are `done`.
+
+    until: (how many steps there are to be, the first step after which the watchdog looks, about how many sums of forces at most).
 
     need: END at first, and between two steps; else as `go_on` returned it. flat: x, v and total of the bodies as vectors (n d,).
     begun (2, n d): x and v at the start of the present step. Returns (need, steps done, sums of forces); need is END, with fewer

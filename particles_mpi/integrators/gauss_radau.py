@@ -54,9 +54,8 @@ class Adaptive:
     def reduce(self, work: Work) -> None:
         """What decides on the next iteration, over all ranks. Collective."""
         names = ["noise", "change", "largest", "top"]
-        for name, value in zip(
-            names, self.ranks.allreduce_max(np.array([work.progress[name][0] for name in names])), strict=True
-        ):
+        largest = self.ranks.allreduce_max(np.array([work.progress[name][0] for name in names]))
+        for name, value in zip(names, largest, strict=True):
             work.progress[name] = value
 
     def accelerations(self, particles: Particles) -> Array:

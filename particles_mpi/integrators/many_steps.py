@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.drift import Drift
+from particles_mpi.contacts.persistent.walls import Walls
 from particles_mpi.contacts.rough import no_spins
 from particles_mpi.gravity.direct import ONE_SUM
 from particles_mpi.integrators.collocation import END, STUCK, work_for
-from particles_mpi.integrators.compiled_steps import Budget, Scheme, Until, adaptive_steps, fixed_steps
+from particles_mpi.integrators.compiled_steps import Scheme, adaptive_steps, fixed_steps
 from particles_mpi.integrators.gauss_radau import Adaptive
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Composition, Taylor
 from particles_mpi.integrators.step_parts import Bodies, Forces, OnWalls, Space, StepLosses
@@ -37,6 +38,7 @@ MOST_SPHERES = 16  # that collide: of more, some meet in most steps, and those a
 FEW_STEPS = 3  # so many at least are worth the search after them; after fewer comes a pause, ever longer up to LONGEST_PAUSE
 LONGEST_PAUSE = 127
 SUM = "sum of forces"  # a name that no field has
+NONE = np.empty(0, bool)
 
 
 class RowsTogether(NamedTuple):
@@ -137,15 +139,14 @@ class ManySteps:
         """Steps of `Composition` or `Taylor`: what `fixed_steps` returns, of all blocks."""
         n, parts = self.context.ids.total, len(self.scheme.kicks)
         cost = STEP_NS + ROW_NS * n + PAIR_NS * n * n * (parts * (self.direct is not None) + self.collide)
-        budget = Budget(cost, LONGEST_CALL)
-        most = min(most, max(1, int(LONGEST_CALL / cost)))
+        longest, most = LONGEST_CALL, min(most, max(1, int(LONGEST_CALL / cost)))
         if len(self.blocks) > 1 or (self.own and self.context.ranks.size > 1):  # what stops one block must stop all
             most = min(most, watch)  # the watchdog of all looks then
-            watch, budget = most + 1, Budget(cost, inf)
+            watch, longest = most + 1, inf
         hits = missed = 0
         for block in self.blocks:
             begun = np.empty_like(block.bodies.v) if self.collide else None
-            done, hit, stuck, sums, known = fixed_steps(self.axes, *block, self.scheme, h, most, watch, budget, begun)
+            done, hit, stuck, sums, known = fixed_steps(self.axes, *block, self.scheme, h, most, watch, (cost, longest), begun)
             hits, missed = hits + hit, missed + stuck
         return done, hits, missed, sums, known
 
@@ -159,7 +160,7 @@ class ManySteps:
         need, done, sums = END, 0, 0
         while need not in (END, STUCK) or sums == 0:
             bundles = bodies, flat, forces, space, rule.tables, work, begun
-            need, done, more = adaptive_steps(self.axes, *bundles, need, done, h, Until(steps, watch, most))
+            need, done, more = adaptive_steps(self.axes, *bundles, need, done, h, (steps, watch, most))
             sums += more
             steps = done + 1  # no more than the step that has begun
             check_signals()
@@ -230,15 +231,12 @@ class ManySteps:
     def on_walls_of(self, p: Particles) -> OnWalls:
         """Contacts with walls that last, if there are any."""
         d, persistent = p.dimension, self.persistent
-        n = len(p) if persistent else 0
-        nobody = np.empty(n, np.int64)
+        walls = persistent.walls if persistent else Walls(no_planes(d), NONE, NONE)
         supported = p["supported"] if persistent else np.empty(0, np.uint8)
-        planes = no_planes(d)
-        point, normal, faces = planes.point, planes.normal, (planes.lower, planes.upper, planes.oblique)
-        if persistent:
-            (point, normal), faces = persistent.walls.planes, persistent.walls.faces
+        n = len(supported)
+        nobody = np.empty(n, np.int64)
         room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy(), np.empty((n, d))
-        return OnWalls(persistent is not None, (0.0,) * d, supported, point, normal, faces, *room)
+        return OnWalls(persistent is not None, (0.0,) * d, supported, walls.planes, walls.faces, *room)
 
     def losses_of(self, p: Particles, h: float) -> StepLosses:
         """What happens in the kicks of a step of length h besides forces."""

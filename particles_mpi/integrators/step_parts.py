@@ -3,13 +3,14 @@
 from typing import Any, NamedTuple
 
 from particles_mpi.contacts.clearance import all_clear
-from particles_mpi.contacts.persistent.near_walls import near_walls, near_walls_among
 from particles_mpi.contacts.persistent.on_walls import settle_on_walls
 from particles_mpi.contacts.persistent.rows import hand_over
+from particles_mpi.contacts.persistent.walls import near_walls, near_walls_among
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import drift_with_walls
 from particles_mpi.gravity.direct import attract_few
+from particles_mpi.integrators.collocation import copy
 from particles_mpi.kernels.geometry import wrap
 from particles_mpi.kernels.jit import in_place, kernel, lean_inner
 from particles_mpi.kernels.motion import free_drift, kick, kick_with_drag, press, release
@@ -59,8 +60,7 @@ class OnWalls(NamedTuple):
     kept: bool  # are there any?
     axes: tuple[float, ...]  # a 0.0 for each axis: these kernels begin sums with them
     supported: Array  # (n,) field of the rows
-    point: Array  # of the walls that take energy
-    normal: Array
+    planes: tuple[Array, Array]  # points and normals of the walls that take energy
     faces: tuple[Array, Array, bool]
     near: Array  # (n,): rows near walls
     pushed: Array  # (n,): rows that contacts push
@@ -110,7 +110,7 @@ def keep_on_walls(axes, bodies, losses, part, space, h, kicked, near):
     """
     on_walls = space.on_walls
     x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, on_walls.supported
-    planes = on_walls.point, on_walls.normal
+    planes = on_walls.planes
     if near >= 0:
         rows = near_walls_among(on_walls.axes, on_walls.near[:near], x, v, a, radius, supported, h, planes)
     else:
@@ -180,19 +180,11 @@ def kick_bodies(bodies, forces, losses, space, part, h, drift):
 
 
 @in_place
-def copy_rows(given, into):
-    """into (n, d) = given."""
-    for i in range(given.shape[0]):
-        for k in range(given.shape[1]):
-            into[i, k] = given[i, k]
-
-
-@in_place
 def someone_meets(axes, bodies, space, h, begun):
     """May anyone meet anyone in a drift over h? Then velocities are again those `begun` with at the start of the step."""
     if all_clear(axes, bodies.x, bodies.v, bodies.radius, h, space.length, space.bounded, space.planes):
         return False
-    copy_rows(begun, bodies.v)
+    copy(begun, bodies.v)
     return True
 
 

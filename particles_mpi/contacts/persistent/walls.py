@@ -1,10 +1,13 @@
-"""The walls at which contacts last: and which rows these concern."""
+"""The walls at which contacts last, and which rows these concern."""
+
+from math import inf
 
 import numpy as np
 
 from particles_mpi.contacts.persistent.detection import SLOW_PUSH
-from particles_mpi.contacts.persistent.near_walls import near_walls
+from particles_mpi.kernels.jit import in_place, kernel
 from particles_mpi.kernels.planes import Planes
+from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.particles import Array, Particles
 
 
@@ -34,3 +37,54 @@ class Walls:
         """How far from walls slow contacts may be, of rows (at least one) with accelerations a (n, d), the same if not fixed."""
         push = float(np.sqrt((a[np.argmin(fixed)] ** 2).sum()))
         return 1.000001 * SLOW_PUSH * h * h * push + self.round_off
+
+
+@in_place
+def has_slow_wall(axes, x, v, a, radius, i, h, planes):
+    """Has row i a slow contact with a wall, which forces press?"""
+    point, normal = planes
+    slow = False
+    for wall in range(len(point)):
+        pressed, closing, distance = 0.0, 0.0, 0.0
+        for k in range(len(axes)):
+            pressed -= SLOW_PUSH * h * a[i, k] * normal[wall, k]
+            closing -= v[i, k] * normal[wall, k]
+            distance += (x[i, k] - point[wall, k]) * normal[wall, k]
+        slow |= pressed > 0.0 and distance - radius[i] <= pressed * h and abs(closing) <= pressed
+    return slow
+
+
+@kernel
+def near_walls(axes, x, v, a, radius, fixed, supported, h, faces, planes):
+    """Rows that are fixed or supported, or have a slow contact with a wall.
+
+    `faces`: (lower, upper, oblique), see `Planes`, beyond which the first walls are; `planes`: (points, normals) of the walls.
+    """
+    lower, upper, oblique = faces
+    rows, found = np.empty(len(x), np.int64), 0
+    low, high = np.empty(len(axes)), np.empty(len(axes))
+    far = 1.000001 * SLOW_PUSH * h * h * fastest(a, a)
+    for k in range(len(axes)):  # within these no sphere is near a face, whatever its push: most rows need no closer look
+        low[k] = lower[k] + far + 1e-12 * max(lower[k], -lower[k]) if lower[k] > -inf else -inf
+        high[k] = upper[k] - far - 1e-12 * max(upper[k], -upper[k]) if upper[k] < inf else inf
+    for i in range(len(x)):
+        here = (supported[i] != 0) | (fixed[i] != 0)
+        inside = not oblique
+        for k in range(len(axes)):
+            inside &= (x[i, k] >= low[k] + radius[i]) & (x[i, k] <= high[k] - radius[i])
+        if inside & (not here):
+            continue
+        if here or has_slow_wall(axes, x, v, a, radius, i, h, planes):
+            rows[found] = i
+            found += 1
+    return rows[:found]
+
+
+@kernel
+def near_walls_among(axes, rows, x, v, a, radius, supported, h, planes):
+    """Those of `rows` that are supported, or have a slow contact with a wall."""
+    chosen, found = np.empty(len(rows), np.int64), 0
+    for i in rows:
+        chosen[found] = i
+        found += supported[i] != 0 or has_slow_wall(axes, x, v, a, radius, i, h, planes)
+    return chosen[:found]
