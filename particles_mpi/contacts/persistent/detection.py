@@ -71,10 +71,10 @@ def contacts_with_walls(axes, row, body, reach, walls, made, contacts):
     """The contacts of a row with walls, behind the first `made` of the columns `contacts`; returns how many there are then.
 
     `body`: x (size + 1, d) of all; radius and push of the row, is it one of a crowd; `reach`: how far away a wall may be;
-    `walls`: (faces, planes, place of the row's first wall in the arrays of impulses).
+    `walls`: (faces, planes, which of them count, place of the row's first wall in the arrays of impulses).
     """
     x, radius, push, crowd = body
-    (lower, upper, oblique), (point, normal), first = walls
+    (lower, upper, oblique), (point, normal), counts, first = walls
     partner, slot, normals, gaps, larger_push, any_speed = contacts
     i, near_face = np.uint64(row), bool(oblique)
     for k in range(len(axes)):  # most rows are near no face
@@ -84,7 +84,7 @@ def contacts_with_walls(axes, row, body, reach, walls, made, contacts):
         distance = 0.0
         for k in range(len(axes)):
             distance += (x[i, np.uint64(k)] - point[wall, k]) * normal[wall, k]
-        if distance - radius <= reach:
+        if counts[wall] and distance - radius <= reach:
             for k in range(len(axes)):
                 normals[made, np.uint64(k)] = normal[wall, k]
             partner[made], larger_push[made], gaps[made] = len(x) - 1, push, distance - radius
@@ -133,21 +133,6 @@ def contacts_with_rows(axes, row, state, graph, inside, h, length, made, contact
     return made
 
 
-@in_place
-def those_with(taking, first_slot, first, made, contacts):
-    """Of the contacts `first` ... made - 1 of a row, all with walls, those with walls that are `taking`; returns their end."""
-    partner, slot, normals, gaps, larger_push, any_speed = contacts
-    kept = first
-    for c in range(first, made):
-        if taking[slot[c] - first_slot]:
-            partner[kept], slot[kept], gaps[kept] = partner[c], slot[c], gaps[c]
-            larger_push[kept], any_speed[kept] = larger_push[c], any_speed[c]
-            for k in range(normals.shape[1]):
-                normals[kept, k] = normals[c, k]
-            kept += np.uint64(1)
-    return kept
-
-
 @kernel
 def find_half_edges(axes, state, graph, inside, h, length, faces, planes, taking):
     """All half-edges between rows `inside` that may be slow, or that are among a crowd: the columns of `Contacts`.
@@ -170,18 +155,19 @@ def find_half_edges(axes, state, graph, inside, h, length, faces, planes, taking
     lengths_of(axes, push, pushes)
     lengths_of(axes, v, speeds)
     state = x, speeds, pushes, radius, w, crowd
-    made = np.uint64(0)
+    every, made = np.ones(walls, np.bool_), np.uint64(0)
     for row in range(n):
-        start[row] = made
+        start[row] = first = made
         if not inside[row]:
             continue
+        body, reach = (x, radius[row], pushes[row], crowd[row]), max(HELD * pushes[row], speeds[row] * crowd[row]) * h
+        of_row = len(other) + row * walls
         if w[row] > 0.0 and pushes[row] > 0.0:
-            body, reach = (x, radius[row], pushes[row], crowd[row]), max(HELD * pushes[row], speeds[row] * crowd[row]) * h
-            made = contacts_with_walls(axes, row, body, reach, (faces, planes, len(other) + row * walls), made, contacts)
+            made = contacts_with_walls(axes, row, body, reach, (faces, planes, every, of_row), made, contacts)
         on_walls = made
         made = contacts_with_rows(axes, row, state, graph, inside, h, length, made, contacts)
-        if made == on_walls:  # a sphere by itself bounces off walls that take no energy, however slowly
-            made = those_with(taking, len(other) + row * walls, np.uint64(start[row]), made, contacts)
+        if first < made == on_walls:  # a sphere by itself bounces off walls that take no energy, however slowly
+            made = contacts_with_walls(axes, row, body, reach, (faces, planes, taking, of_row), first, contacts)
     start[n] = made
     of = slice(0, start[n])
     return start, partner[of], slot[of], normals[of], gaps[of], larger_push[of], any_speed[of]
