@@ -68,18 +68,9 @@ def iterations(axes, count, problem, w, v0, v, other, theta, looks, sums):
         look = looks and number == count - 1
         worst, over_round_off = iterate(axes, 0, len(sums), problem, w, v0, v, other, beta, look, sums)
         v, other = other, v
-    if looks:
-        most = largest_work(sums)
-    return theta, worst, over_round_off, most
-
-
-@inner
-def largest_work(sums):
-    """The largest absolute value of the works of rows, sums[:, 1]; see `iterate`."""
-    most = 0.0
-    for i in range(len(sums)):
+    for i in range(len(sums) if looks else 0):
         most = max(most, abs(sums[i, 1]))
-    return most
+    return theta, worst, over_round_off, most
 
 
 @inner

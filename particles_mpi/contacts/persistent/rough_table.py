@@ -29,12 +29,6 @@ def spins_of(axes):
 
 
 @inner(inline="always")
-def table_width(axes):
-    """Columns of a table."""
-    return NORMAL + len(axes) + TANGENTIAL + 2 * len(axes) + 2 * spins_of(axes)
-
-
-@inner(inline="always")
 def arms_of(radius, other_radius, gap):
     """Lengths of the arms of two spheres: radii and shares of the gap, so that an impulse across it does not turn the pair."""
     both = radius + other_radius
@@ -51,7 +45,7 @@ def rough_table(axes, smooth, wall, start, partner, gap, radii, inverse_inertia,
     left out.
     """
     d, s = len(axes), spins_of(axes)
-    table = np.zeros((len(partner), table_width(axes)))
+    table = np.zeros((len(partner), NORMAL + d + TANGENTIAL + 2 * d + 2 * s))
     for i in range(len(start) - 1):
         for e in range(start[i], start[i + 1]):
             j = partner[e]

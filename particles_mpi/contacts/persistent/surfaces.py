@@ -86,18 +86,11 @@ class SmoothContacts:
         self, local: Local, graph: ContactGraph, contacts: Contacts, which: Array, targets: Targets, impulses: Array
     ) -> Problem:  # fmt: skip
         """For the solver: the contacts, of which `which` (m,) may have an impulse, and their impulses. Collective."""
-        bound = np.zeros_like(local.w)
+        some, bound = (contacts.start, contacts.partner), np.zeros_like(local.w)
         bound_rows(self.axes, contacts.start, contacts.normal, local.w, which, bound)
         graph.exchange(bound)
-        table = self.smooth_table(local, contacts, which, bound, targets, impulses)
-        return Problem(contacts.start, contacts.partner, table, targets.per_allowed, targets.per_round_off)
-
-    def smooth_table(
-        self, local: Local, contacts: Contacts, which: Array, bound: Array, targets: Targets, impulses: Array
-    ) -> Array:  # fmt: skip
-        """The table of impulses along normals; `bound` (size + 1,): see `problem.bound_rows`."""
-        some = contacts.start, contacts.partner, contacts.normal
-        return np.asarray(table_of(self.axes, *some, local.w, which, bound, targets.may_close, along_normals(impulses)))
+        table = table_of(self.axes, *some, contacts.normal, local.w, which, bound, targets.may_close, impulses)
+        return Problem(*some, table, targets.per_allowed, targets.per_round_off)
 
     def motion(self, local: Local, graph: ContactGraph, v: Array, spin: Array) -> tuple[Array, Array]:
         """For the solver: inverse masses, and velocities v (size + 1, d) with spins."""
@@ -159,7 +152,8 @@ class RoughContacts(SmoothContacts):
         bodies = graph.radius, graph.inverse_inertia, local.w, which
         bound_rough(self.axes, *some, contacts.normal, wall, contacts.gap, *bodies, law[1], bound)
         graph.exchange(bound)
-        smooth = self.smooth_table(local, contacts, which, bound, targets, impulses)
+        along = along_normals(impulses)
+        smooth = table_of(self.axes, *some, contacts.normal, local.w, which, bound, targets.may_close, along)
         across = np.ascontiguousarray(impulses[:, 1:])
         table = rough_table(self.axes, smooth, wall, *some, contacts.gap, *bodies, law, across)
         return Problem(*some, table, targets.per_allowed, targets.per_round_off)

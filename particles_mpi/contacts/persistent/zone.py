@@ -1,7 +1,5 @@
 """The zone: the box in which contacts are sought, around those involved; and crowds, which spread from row to row."""
 
-from math import inf
-
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
@@ -24,18 +22,6 @@ def inside_zone(x, wide, zone):
     for i in range(len(x)):
         inside[i] = touches(x, i, wide[i], zone)
     return inside
-
-
-@kernel
-def zone_around(x, wide, rows):
-    """-low and high (2 d,) of the box around these rows with their widths; -inf if there are none."""
-    d = x.shape[1]
-    ends = np.full(2 * d, -inf)
-    for i in rows:
-        for k in range(d):
-            ends[k] = max(ends[k], wide[i] - x[i, k])
-            ends[d + k] = max(ends[d + k], wide[i] + x[i, k])
-    return ends
 
 
 @kernel
