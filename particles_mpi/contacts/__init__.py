@@ -13,13 +13,4 @@ The files and folders, in the order in which one reads them:
     event_driven/    mode `event`: the contacts of a drift one after the other, in exact order of time
     warm_start       what lasting contacts took, which is saved with a state
     persistent/      contacts that last, where forces press particles that lose energy onto one another
-
-The way of one drift in mode `rewind` (`time_stepped.operator.Rewind.drift`): `Neighbourhood.prepare` sees that the candidate
-pairs hold for this step. Then, in each pass, `find_contacts` and `find_wall_hits` compute the time of contact on the present
-segments; `select_contacts` chooses for each particle the earliest; ranks exchange what they chose; `apply_contacts` lets
-those contacts happen that both partners chose, by `law.collide_pair` and `walls.meet_wall`, and both begin a new segment; ranks
-exchange those, and `Neighbourhood.follow` finds who is in the way of them. When no contact is left, all move to the end.
-
-In mode `event` (`event_driven.operator.EventDriven.drift`) a queue holds the next event of each particle; the first one of all
-takes place by the same law, and only those whom it concerns look for their next events again.
 """
