@@ -9,7 +9,6 @@ from particles_mpi.contacts.persistent import solution, solver  # noqa: F401  lo
 from particles_mpi.contacts.persistent.descent import Iteration
 from particles_mpi.contacts.persistent.iterations import MOST_ITERATIONS
 from particles_mpi.contacts.persistent.problem import EXTRAPOLATED, IMPULSE, Problem
-from particles_mpi.parallel.communicator import Communicator
 
 R = 0.3
 COLUMNS = {
@@ -78,9 +77,9 @@ def test_what_is_solved_directly_is_what_iterations_lead_to(d, seed, monkeypatch
         iterated.table[:, [IMPULSE, EXTRAPOLATED]] = 0.0
         iterated.per_round_off[:] = 1e12  # to round-off, in crowds too
         done = direct(axes, problem, w, v)
-        result = Iteration(axes, Problem(*problem), w, v, None).result
-        iteration = Iteration(axes, iterated, w, v, None)
-        good, _ = iteration.until_good(Communicator.alone(), len(iterated.partner), MOST_ITERATIONS)
+        result = Iteration(axes, Problem(*problem), w, v).result
+        iteration = Iteration(axes, iterated, w, v)
+        good, _ = iteration.until_good(len(iterated.partner), MOST_ITERATIONS)
         found.append((done and good, np.abs(iteration.result - result).max()))
         return done
 

@@ -81,11 +81,16 @@ class Iteration:
     """The iterations of one solution for velocities v (size + 1, d), which stay as they are; `result` (n, d) has the last ones.
 
     w (size + 1,): inverse masses. Of rough spheres v has spins beside velocities, w the inverse moments of inertia, and the table
-    of the problem more columns; see `rough_table`. `exchange` refreshes the velocities of ghosts, if there are any.
+    of the problem more columns; see `rough_table`. `ranks`: those that compute it together, which is collective; without any this
+    one has all rows. `exchange` refreshes the velocities of ghosts, if there are any.
     """
 
-    def __init__(self, axes: tuple[float, ...], problem: Problem, w: Array, v: Array, exchange: Callable[[Array], None] | None):
-        self.axes, self.problem, self.table, self.exchange, self.w, self.v0 = axes, tuple(problem), problem.table, exchange, w, v
+    def __init__(
+        self, axes: tuple[float, ...], problem: Problem, w: Array, v: Array,
+        ranks: Communicator | None = None, exchange: Callable[[Array], None] | None = None,
+    ):  # fmt: skip
+        self.axes, self.problem, self.table, self.w, self.v0 = axes, tuple(problem), problem.table, w, v
+        self.ranks, self.exchange = ranks or Communicator.alone(), exchange
         self.rough = w.ndim > 1
         self.impulse_columns = impulse_columns(len(axes), self.rough)
         self.v, self.other, self.sums = v.copy(), v.copy(), np.empty((len(problem.start) - 1, 2))
@@ -114,15 +119,15 @@ class Iteration:
                 self.exchange(self.v)
         return seen[0], seen[1], seen[2]
 
-    def seen(self, ranks: Communicator, errors: tuple[float, float, float]) -> Seen:
-        """What the last iteration, which looked, saw on all ranks, of its `errors` on this one. Collective."""
-        worst, over_round_off, most = ranks.largest(*errors)
+    def seen(self, errors: tuple[float, float, float]) -> Seen:
+        """What the last iteration, which looked, saw on all ranks, of its `errors` on this one."""
+        worst, over_round_off, most = self.ranks.largest(*errors)
         unit = unit_of_squares(worst)
-        squares, work = ranks.total(*whole_numbers(self.sums, (unit, most if most > 0.0 else 1.0)))
+        squares, work = self.ranks.total(*whole_numbers(self.sums, (unit, most if most > 0.0 else 1.0)))
         return Seen(worst, over_round_off, squares * unit, float(work))
 
-    def until(self, ranks: Communicator, rules: Rules, done: int, best: float) -> tuple[Seen, int, bool, bool]:
-        """Iterate until the `verdict` is that this may end: what was seen last, the iterations done, good, calm. Collective.
+    def until(self, rules: Rules, done: int, best: float) -> tuple[Seen, int, bool, bool]:
+        """Iterate until the `verdict` is that this may end: what was seen last, the iterations done, good, calm.
 
         `done` and `best`: iterations, and the least sum of squares of errors, so far. Where no ghosts are exchanged, all is done
         in one kernel: of a small pile, the calls would take longer than the iterations.
@@ -137,7 +142,7 @@ class Iteration:
                 )
                 if (done - before) % 2:
                     self.v, self.other = self.other, self.v
-            seen = self.seen(ranks, (errors[0], errors[1], errors[2]))
+            seen = self.seen((errors[0], errors[1], errors[2]))
             good, calm, ends, anew = verdict(seen, rules, done, best)
             if ends:
                 return seen, done, good, calm
@@ -145,12 +150,12 @@ class Iteration:
                 self.restart()
             best = min(best, seen.squares)
 
-    def factor(self, ranks: Communicator) -> float:
-        """Times what p A p/2 + p (N v + c) is least: in sum over all contacts errors do no work then. Collective."""
-        (largest,) = ranks.largest(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))
+    def factor(self) -> float:
+        """Times what p A p/2 + p (N v + c) is least: in sum over all contacts errors do no work then."""
+        (largest,) = self.ranks.largest(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))
         if not largest > 0.0:
             return 1.0
-        linear, quadratic = ranks.total(*whole_numbers(self.sums, (largest, largest)))
+        linear, quadratic = self.ranks.total(*whole_numbers(self.sums, (largest, largest)))
         return -linear / quadratic if quadratic > 0 else 1.0
 
     def multiply(self, factor: float) -> None:
@@ -158,55 +163,47 @@ class Iteration:
         self.table[:, self.impulse_columns] *= factor
         self.restart()
 
-    def balance(self, ranks: Communicator, least: float, most: float) -> None:
-        """All impulses times `factor`, if that is from `least` to `most`. Collective."""
-        factor = self.factor(ranks)
+    def balance(self, least: float, most: float) -> None:
+        """All impulses times `factor`, if that is from `least` to `most`."""
+        factor = self.factor()
         if least < factor < most:
             self.multiply(factor)
 
     def until_good(
-        self,
-        ranks: Communicator,
-        count: int,
-        least: int,
-        asleep: Callable[[Array], bool] | None = None,
-        limit: int = MOST_ITERATIONS,
+        self, count: int, least: int, asleep: Callable[[Array], bool] | None = None, limit: int = MOST_ITERATIONS
     ) -> tuple[bool, int]:
         """Iterate until errors are allowed and `least` iterations are done, or only round-off is left, or `limit` are done.
 
-        Rough piles whose errors are CALM get at least MORE iterations. Contacts that keep a gap, and have no solution by ASKED,
-        are no longer asked to go back to it. At the end, all impulses may be multiplied by a factor.
-
         `count`: half-edges of all ranks that may have an impulse; `asleep`: if given, asked whether a pile is at rest that begins
         with errors that are allowed, or, of smooth spheres, with round-off; if so, it is left like that. Returns whether
-        errors are allowed, and the iterations done, 0 for a pile that is asleep. Collective.
+        errors are allowed, and the iterations done, 0 for a pile that is asleep.
         """
         exact, near_one = least >= exact_from(self.rough), (1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
         rules = Rules(count, least, limit if exact else min(limit, ASKED), limit, self.rough)
         if not exact and not self.rough:
-            self.balance(ranks, *near_one)
-        seen, done = self.seen(ranks, self.advance(1, looks=True)), 1
+            self.balance(*near_one)
+        seen, done = self.seen(self.advance(1, looks=True)), 1
         good, calm, ends, anew = verdict(seen, rules, done, np.inf)
         if asleep and (seen.round_off or (self.rough and good)):
             self.restart()
             if asleep(self.result):
                 return True, 0
         elif self.rough and not (exact or calm or ends):
-            self.balance(ranks, *near_one)
+            self.balance(*near_one)
         elif anew and not ends:
             self.restart()
         if not ends:
-            seen, done, good, calm = self.until(ranks, rules, done, seen.squares)
+            seen, done, good, calm = self.until(rules, done, seen.squares)
         if not (good or seen.round_off) and done < limit:
             may_close = self.table[:, MAY_CLOSE]
             np.maximum(may_close, 0.0, out=may_close)
             self.restart()
             rules = Rules(count, WITHOUT_GAP, limit, limit, self.rough)
-            seen, done, good, calm = self.until(ranks, rules, done, seen.squares)
+            seen, done, good, calm = self.until(rules, done, seen.squares)
         self.restart()  # errors that were looked at are of the impulses: extrapolated ones may be far past them already
         good = good or seen.round_off
         if self.rough and not good:
-            self.multiply(min(max(self.factor(ranks), 0.0), 1.0))
+            self.multiply(min(max(self.factor(), 0.0), 1.0))
         elif not exact and not calm:  # errors of one sign, however small, would lift a bed, or let it sink
-            self.balance(ranks, 0.5, 1.0 if self.rough else 2.0)
+            self.balance(0.5, 1.0 if self.rough else 2.0)
         return bool(good), done

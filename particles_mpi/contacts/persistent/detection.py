@@ -44,26 +44,22 @@ def reach_of(radius, far, most):
     return min(far, most * radius) if radius > 0.0 else far
 
 
+@lean_inner
+def length_of(vectors, i):
+    """The length of row i of vectors (n, d)."""
+    square = 0.0
+    for k in range(vectors.shape[1]):
+        square += vectors[i, k] * vectors[i, k]
+    return sqrt(square)
+
+
 @kernel
 def widths(radius, vectors, scale, most):
     """Radii plus reaches (n,) of rows that go `scale` times the length of their vector (n, d), at most so many radii each."""
     found = np.empty(len(radius))
     for i in range(len(radius)):
-        square = 0.0
-        for k in range(vectors.shape[1]):
-            square += vectors[i, k] * vectors[i, k]
-        found[i] = radius[i] + reach_of(radius[i], scale * sqrt(square), most)
+        found[i] = radius[i] + reach_of(radius[i], scale * length_of(vectors, i), most)
     return found
-
-
-@in_place
-def lengths_of(axes, vectors, lengths):
-    """To lengths (n,): those of vectors (n, d)."""
-    for row in range(len(vectors)):
-        square = 0.0
-        for k in range(len(axes)):
-            square += vectors[row, k] * vectors[row, k]
-        lengths[row] = sqrt(square)
 
 
 @in_place
@@ -152,8 +148,8 @@ def find_half_edges(axes, state, graph, inside, h, length, faces, planes, taking
     any_speed = np.empty(most, np.bool_)
     contacts = partner, slot, normals, gaps, larger_push, any_speed
     pushes, speeds = np.empty(len(x)), np.empty(len(x))
-    lengths_of(axes, push, pushes)
-    lengths_of(axes, v, speeds)
+    for i in range(len(x)):
+        pushes[i], speeds[i] = length_of(push, i), length_of(v, i)
     state = x, speeds, pushes, radius, w, crowd
     every, made = np.ones(walls, np.bool_), np.uint64(0)
     for row in range(n):

@@ -56,11 +56,11 @@ class Solver:
         if ranks.size > 1 and every <= FEW_HALF_EDGES:
             together = Together(ranks, self.axes, problem, w, v, ids)
             look = asleep and (lambda _: asleep(together.ours()))
-            good, done = together.run.until_good(Communicator.alone(), count, least, look, limit)
+            good, done = together.run.until_good(count, least, look, limit)
             result = together.ours()
         else:
-            run = Iteration(self.axes, problem, w, v, exchange if ranks.size > 1 else None)
-            good, done = run.until_good(ranks, count, least, asleep, limit)
+            run = Iteration(self.axes, problem, w, v, ranks, exchange if ranks.size > 1 else None)
+            good, done = run.until_good(count, least, asleep, limit)
             result = run.result
         if few and (not good or (smooth and done >= limit)):
             together = Together(ranks, self.axes, problem, w, v, ids)
@@ -95,7 +95,7 @@ class Together:
         of_all = Problem(start, partner.astype(np.int32), every["table"], every["per_allowed"], every["per_round_off"])
         all_v = np.concatenate((rows["v"][order], np.zeros((1, v.shape[1]))))
         all_w = np.concatenate((rows["w"][order], np.zeros((1, *w.shape[1:]))))
-        self.run = Iteration(axes, of_all, all_w, all_v, None)
+        self.run = Iteration(axes, of_all, all_w, all_v)
         self.place = np.searchsorted(known, ids[self.mine])
         self.first = start[self.place]
 
@@ -120,7 +120,7 @@ def directly(run: Iteration, count: int, least: int) -> bool | None:
         return not run.rough or improve(run, count, least)
     if run.rough:
         return None
-    good, _ = run.until_good(Communicator.alone(), count, least)  # it takes as many iterations as it takes
+    good, _ = run.until_good(count, least)  # it takes as many iterations as it takes
     return good
 
 
@@ -145,7 +145,7 @@ def without_friction(run: Iteration) -> bool:
 def improve(run: Iteration, count: int, least: int) -> bool:
     """Iterate from the impulses of the table; if that leads to no errors that are allowed, go back. Returns whether it does."""
     before = run.table[:, run.impulse_columns]
-    good, _ = run.until_good(Communicator.alone(), count, least, limit=TRIED)
+    good, _ = run.until_good(count, least, limit=TRIED)
     if not good:
         run.table[:, run.impulse_columns] = before
         run.restart()

@@ -9,7 +9,6 @@ from particles_mpi.contacts.persistent import solver
 from particles_mpi.contacts.persistent.descent import Iteration
 from particles_mpi.contacts.persistent.iterations import MOST_ITERATIONS
 from particles_mpi.contacts.persistent.problem import Problem
-from particles_mpi.parallel.communicator import Communicator
 
 
 @pytest.mark.parametrize(("seed", "steps", "most"), [(8033, 12, 0), (8208, 12, 0), (8604, 6, 11), (8686, 12, 5)])
@@ -25,9 +24,9 @@ def test_how_large_errors_are_beside_those_allowed_does_not_change_the_iteration
     """Sums of squares were cut at errors of 128 allowed ones: growth beyond was not seen, and momentum not given up."""
     solve, hard = Iteration.until_good, []
 
-    def watched(self, ranks, count, least, *more):
+    def watched(self, count, least, *more):
         table, (start, partner, _, per_allowed, per_round_off) = self.problem[2].copy(), self.problem
-        good, done = solve(self, ranks, count, least, *more)
+        good, done = solve(self, count, least, *more)
         if done > 1000:
             hard.append(((self.axes, self.w, self.v0), (start, partner, table), (per_allowed, per_round_off), count))
         return good, done
@@ -38,9 +37,9 @@ def test_how_large_errors_are_beside_those_allowed_does_not_change_the_iteration
     (axes, w, v0), (start, partner, table), (per_allowed, per_round_off), count = hard[-1]
     results = []
     for times in (1e-5, 1.0, 1e5):
-        run = Iteration(axes, Problem(start, partner, table.copy(), times * per_allowed, per_round_off), w, v0, None)
+        run = Iteration(axes, Problem(start, partner, table.copy(), times * per_allowed, per_round_off), w, v0)
         monkeypatch.setattr(run, "multiply", lambda factor: None)  # what is not allowed is made smaller at the end
-        run.until_good(Communicator.alone(), count, MOST_ITERATIONS, limit=400)
+        run.until_good(count, MOST_ITERATIONS, limit=400)
         run.restart()
         results.append(run.result.copy())
     assert np.array_equal(results[0], results[1]) and np.array_equal(results[1], results[2])
