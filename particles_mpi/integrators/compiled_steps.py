@@ -28,17 +28,18 @@ class Scheme(NamedTuple):
 def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, budget, begun):
     """Up to `steps` steps as of `Composition` or `Taylor`; from step `watch` on, they end where the watchdog would stop the run.
 
-    budget: about how many nanoseconds a step takes in which nobody meets a wall, and after how many the call ends: what rests on
-    walls takes a hundred times as long as what flies.
     Where particles collide, they end before a step in which anyone could meet anyone. `begun` (n, d): room for the velocities at
     the start of a step; None where nobody collides, and then the kernel is compiled without that test, which would slow it down.
+    budget: how many nanoseconds a step takes, about, in which nobody meets a wall, and after how many the call ends: what rests
+    on walls takes a hundred times as long as what flies.
 
     Returns (steps done, wall hits, how often a row had no room, sums of forces, are the forces in `bodies.total` those of the
     present places?).
     """
     hits, missed, sums, known, noted = 0, 0, 0, True, 0
     before, near, pushed = -1, -1, 0
-    resting, (step_ns, most_ns) = 0, budget
+    resting = 0
+    step_ns, most_ns = budget
     for step in range(1, steps + 1):
         if begun is not None:
             copy(bodies.v, begun)
@@ -84,7 +85,6 @@ def adaptive_steps(axes, bodies, flat, forces, space, tables, work, begun, need,
     """Go on with steps as of `Adaptive`, of which so many are `done`.
 
     until: (how many steps there are to be, the first step after which the watchdog looks, about how many sums of forces at most).
-
     need: END at first, and between two steps; else as `go_on` returned it. flat: x, v and total of the bodies as vectors (n d,).
     begun (2, n d): x and v at the start of the present step. Returns (need, steps done, sums of forces); need is END, with fewer
     steps than asked for, where the watchdog would stop the run.
