@@ -81,10 +81,9 @@ def work_for(numbers: int) -> Work:
 
 @in_place
 def copy(source, target):
-    """target = source, of the same shape."""
-    of, to = source.reshape(-1), target.reshape(-1)
-    for m in range(len(of)):
-        to[m] = of[m]
+    """target = source, both (m,)."""
+    for m in range(len(source)):
+        target[m] = source[m]
 
 
 @in_place

@@ -7,7 +7,16 @@ from typing import NamedTuple
 
 from particles_mpi.contacts.walls import finish_bounces
 from particles_mpi.integrators.collocation import END, FORCES, STUCK, begin, copy, go_on
-from particles_mpi.integrators.step_parts import invalid, keep_on_walls, kick_bodies, move, set_rates, someone_meets, sum_forces
+from particles_mpi.integrators.step_parts import (
+    copy_rows,
+    invalid,
+    keep_on_walls,
+    kick_bodies,
+    move,
+    set_rates,
+    someone_meets,
+    sum_forces,
+)
 from particles_mpi.kernels.jit import lean
 from particles_mpi.kernels.motion import kick
 from particles_mpi.kernels.validity import WATCH_EVERY
@@ -42,7 +51,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
     step_ns, most_ns = budget
     for step in range(1, steps + 1):
         if begun is not None:
-            copy(bodies.v, begun)
+            copy_rows(bodies.v, begun)
         for part in range(len(scheme.kicks)):
             kicked, drifted = scheme.kicks[part] * h, scheme.drifts[part] * h
             if not known:

@@ -42,7 +42,7 @@ MUTATIONS = (
     Mutation(
         "few spheres keep a kick of a step that is done again",
         "integrators/step_parts.py",
-        "    copy(begun, bodies.v)\n    return True",
+        "    copy_rows(begun, bodies.v)\n    return True",
         "    return True",
         ("tests/parallel/test_many_steps.py", "-k", "single_steps and 1"),
     ),
