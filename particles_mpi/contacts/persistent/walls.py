@@ -1,13 +1,12 @@
 """The walls at which contacts last, and which rows these concern."""
 
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 
 from particles_mpi.contacts.persistent.detection import SLOW_PUSH
 from particles_mpi.kernels.jit import in_place, kernel
 from particles_mpi.kernels.planes import Planes
-from particles_mpi.neighbours.trajectories import fastest
 from particles_mpi.particles import Array, Particles
 
 
@@ -63,8 +62,14 @@ def near_walls(axes, x, v, a, radius, fixed, supported, h, faces, planes):
     lower, upper, oblique = faces
     rows, found = np.empty(len(x), np.int64), 0
     low, high = np.empty(len(axes)), np.empty(len(axes))
-    far = 1.000001 * SLOW_PUSH * h * h * fastest(a, a)
+    most = 0.0
+    for i in range(len(x)):
+        a2 = 0.0
+        for k in range(len(axes)):
+            a2 += a[i, k] * a[i, k]
+        most = max(most, a2)
     for k in range(len(axes)):  # within these no sphere is near a face, whatever its push: most rows need no closer look
+        far = 1.000001 * SLOW_PUSH * h * h * sqrt(most)
         low[k] = lower[k] + far + 1e-12 * max(lower[k], -lower[k]) if lower[k] > -inf else -inf
         high[k] = upper[k] - far - 1e-12 * max(upper[k], -upper[k]) if upper[k] < inf else inf
     for i in range(len(x)):
