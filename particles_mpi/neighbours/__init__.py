@@ -7,8 +7,7 @@ Mode `rewind` (`contacts/time_stepped`) searches by candidates. The files, in th
     search_index      how rows are held in cells, and put elsewhere when their paths change
     near_paths        do two paths come near each other, and when
     partner_lists     which rows are in cells near a path
-    pair_search       which rows are tested, then, and found to be partners
-    replacement       the compiled call that finds the candidates of all rows, or replaces those of a few
+    pair_search       which rows are tested, then, and found to be partners; the compiled call for all rows, or for a few
     candidates        one search: all pairs and all particles near walls, and how those are replaced whose paths changed
     rank_boxes        boxes of ranks, and which rows get into them
     halo_region       the ghosts that a rank needs for that, and until when its particles meet no unknown one

@@ -12,7 +12,7 @@ from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.cells import CELLS_TO_A_SIDE, GRIDDED, LinkedCells, grid, sort_rows, spacing
 from particles_mpi.neighbours.halo_region import HaloRegion, everywhere
 from particles_mpi.neighbours.near_paths import WAITING
-from particles_mpi.neighbours.replacement import ALL, replace_candidates
+from particles_mpi.neighbours.pair_search import ALL, replace_candidates
 from particles_mpi.neighbours.search_index import SLOW, Holding, SearchIndex, SortedCells, fill_cells, levels
 from particles_mpi.neighbours.trajectories import AT_REST, Horizon, Paths, Spheres, rows_leaving, start_paths
 from particles_mpi.particles import Array

@@ -16,9 +16,9 @@ from particles_mpi.kernels.motion import Segments, end_segments
 from particles_mpi.neighbours.candidates import Candidates, Hits
 from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing, too_narrow
 from particles_mpi.neighbours.halo_region import HaloRegion, Margins, everywhere, fetch_near_rows
+from particles_mpi.neighbours.pair_search import LEAVING, TURNED
 from particles_mpi.neighbours.pass_messages import OWN_ONLY, Active, message_width, who_is_concerned
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
-from particles_mpi.neighbours.replacement import LEAVING, TURNED
 from particles_mpi.neighbours.trajectories import Horizon, Spheres, fastest
 from particles_mpi.parallel.agreement import require_finite
 from particles_mpi.parallel.buffers import RowBuffers

@@ -10,7 +10,7 @@ from particles_mpi.kernels.motion import Segments
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.candidates import Candidates, Pairs, touching
 from particles_mpi.neighbours.halo_region import everywhere
-from particles_mpi.neighbours.replacement import LEAVING, TURNED
+from particles_mpi.neighbours.pair_search import LEAVING, TURNED
 from particles_mpi.neighbours.trajectories import Horizon, Spheres
 
 

@@ -8,8 +8,8 @@ from test_candidates import at_start, closest, listed
 from particles_mpi.kernels.planes import no_planes
 from particles_mpi.neighbours.candidates import Candidates
 from particles_mpi.neighbours.halo_region import Margins, build
+from particles_mpi.neighbours.pair_search import LEAVING
 from particles_mpi.neighbours.rank_boxes import swept_box
-from particles_mpi.neighbours.replacement import LEAVING
 from particles_mpi.neighbours.trajectories import Horizon, Spheres
 
 
