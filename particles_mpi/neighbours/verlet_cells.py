@@ -18,7 +18,7 @@ from particles_mpi.particles import Array
 
 LEVELS, FACTOR = 5, 3.0  # each level of cells is for sizes up to FACTOR times those of the one before
 WIDTH = 1.4  # of a cell, in sizes of the largest row in it
-NEXT_ROW, PREVIOUS_ROW, CELL = 6, 7, 8  # columns of `Lists.links`, after 2 d: behind the float64 numbers there
+LINKS = 6  # of a row of `Lists.reference` as int32, after 2 d: its links begin there, behind the float64 numbers
 NO_CELL = -1  # in place of a cell
 MARGIN = 1.0 + 1e-9  # on distances between reference positions, far above round-off
 
@@ -69,7 +69,7 @@ def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[VerletGrid
 @inner
 def level_of(size, lists):
     """The level for one row more, of this size; the widest one may have to hold wider rows than it was made for."""
-    _, _, _, _, largest = lists.grid
+    _, _, _, _, (_, _, _, _, largest) = lists.linked
     widest = 0
     for step in range(len(largest)):
         if largest[step] >= size:
@@ -97,9 +97,9 @@ def cells_along(y, reach, low, per_length, cells, periodic):
 def first_in_cells(axes, lists, place, i, size):
     """Write the first row of each cell in which rows no further than `size` + R + skin from place[i] can be to `lists.nearby`;
     returns how many."""
-    reference, head, nearby = lists.reference, lists.head, lists.nearby
+    reference, nearby = lists.reference, lists.nearby
     _, _, length = lists.box
-    low, per_length, cells, first, largest = lists.grid
+    head, _, _, _, (low, per_length, cells, first, largest) = lists.linked
     d = len(axes)
     waiting = 0
     f0 = f1 = f2 = 0
@@ -131,7 +131,7 @@ def first_in_cells(axes, lists, place, i, size):
 def cell_of(axes, lists, i):
     """The cell of row i."""
     reference = lists.reference
-    low, per_length, cells, first, _ = lists.grid
+    _, _, _, _, (low, per_length, cells, first, _) = lists.linked
     _, _, length = lists.box
     step = lists.level[i]
     c = np.int64(0)
@@ -143,30 +143,7 @@ def cell_of(axes, lists, i):
     return first[step] + c
 
 
-@lean_inner
-def link(axes, lists, i, cell):
-    """Put row i into a cell."""
-    links, head = lists.links, lists.head
-    d = len(axes)
-    j = np.int64(head[cell])
-    links[i, 2 * d + NEXT_ROW], links[i, 2 * d + PREVIOUS_ROW], links[i, 2 * d + CELL] = j, -1, cell
-    if j >= 0:
-        links[j, 2 * d + PREVIOUS_ROW] = i
-    head[cell] = i
-
-
-@lean_inner
-def unlink(axes, lists, i):
-    """Take row i out of its cell, if it is in one."""
-    links = lists.links
-    d = len(axes)
-    after, before, cell = np.int64(links[i, 2 * d + NEXT_ROW]), np.int64(links[i, 2 * d + PREVIOUS_ROW]), links[i, 2 * d + CELL]
-    if cell == NO_CELL:
-        return
-    if before >= 0:
-        links[before, 2 * d + NEXT_ROW] = after
-    else:
-        lists.head[cell] = after
-    if after >= 0:
-        links[after, 2 * d + PREVIOUS_ROW] = before
-    links[i, 2 * d + CELL] = NO_CELL
+def links_in(reference: Array, d: int) -> tuple[Array, Array, Array]:
+    """(after, before, cell_of) (n,) int32, as in `LinkedCells`, in the memory of `Lists.reference`: read together with it."""
+    after, before, cell = reference.view(np.int32)[:, 2 * d + LINKS : 2 * d + LINKS + 3].T
+    return after, before, cell

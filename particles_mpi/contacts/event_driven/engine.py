@@ -93,11 +93,10 @@ class Engine:
         total = n + spare
         segment, state = aligned(total, 2 * d + 2), aligned(total, 8).view(np.int64)
         reals = state.view(np.float64)
-        names = [name for name in ("total_acceleration", "drag") if name in p.arrays]
+        names = [name for name in ("total_acceleration", "spin", "drag") if name in p.arrays]
         fields = {name: enlarged(p[name], np.zeros((total, *p[name].shape[1:]))) for name in names}
-        acceleration, drag = fields.get("total_acceleration", np.empty((0, d))), fields.get("drag", np.empty(0))
-        spin = enlarged(p["spin"], np.zeros((total, p["spin"].shape[1]))) if "spin" in p.arrays else NO_SPIN
-        inverse_inertia = enlarged(p.inverse_inertia, np.zeros(total * (len(spin) > 0)))
+        acceleration, spin = (fields.get(name, np.empty((total, 0))) for name in ("total_acceleration", "spin"))
+        drag, inverse_inertia = fields.get("drag", np.empty(0)), enlarged(p.inverse_inertia, np.zeros(total * ("spin" in fields)))
         self.rows = Rows(segment, segment.view(np.int64), state, reals, acceleration, drag, spin, inverse_inertia)
         segment[:n, :d], segment[:n, 2 * d + RADIUS] = p.position, p.radius
         state[:] = 0
@@ -108,7 +107,7 @@ class Engine:
             reals[:n, VIRIAL] = p.virial
         self.node = np.full((total, NODE), NO_EVENT, np.int32)
         self.work = self.work._replace(stale=np.empty(2 * total + 2, np.int32))
-        self.log = new_log(total, d, spin.shape[1] if len(spin) else 0)
+        self.log = new_log(total, d, spin.shape[1])
         self.expiries = 0
 
     def grow(self) -> Array:
@@ -152,9 +151,9 @@ class Engine:
         queue, work = self.queue, self.work
         queue.present[:] = min(int(now * queue.per_time), len(queue.first) - 1), 0  # nothing is left from before
         a, drag = self.rows.acceleration, self.rows.drag
-        rates = self.rates.of({"drag": drag, "total_acceleration": a} if len(a) else {"drag": drag})
-        rules = self.loss, self.law, tuple(self.collapse), self.crowd_from, self.planes, rates
-        interval = (self.h, moment), now, until, self.ahead
+        rates = self.rates.of({"drag": drag, "total_acceleration": a} if a.shape[1] else {"drag": drag})
+        rules = self.loss, self.law, tuple(self.collapse), self.crowd_from, self.planes, rates, self.h, moment
+        interval = now, until, self.ahead
         rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
         work.progress[:] = now, 0.0
         pending, self.pending = self.pending, 0

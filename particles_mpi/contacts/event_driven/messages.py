@@ -17,7 +17,6 @@ import numpy as np
 from particles_mpi.contacts.event_driven.regions import Moves, Regions
 from particles_mpi.contacts.event_driven.rows import (
     ID,
-    OWN,
     OWNERSHIP,
     SHARED,
     Log,
@@ -38,10 +37,10 @@ HOLDER, PLACE = range(2)  # columns of `fields_at`
 
 
 class Directory(NamedTuple):
-    """Which ranks hold a particle, and where it is here. A set of ranks is a bit mask, of one int64 for 64 known ranks."""
+    """Which ranks hold a particle, and where it is here."""
 
     table: Array  # (places, 2) the rows by id, see `id_table`
-    holders: Array  # (n, masks) of an own row: the known ranks that hold it, this one too
+    holders: Array  # (n, k) bool, of an own row: which of the known ranks hold it, this one too
     fields_at: Array  # (n, 2) of an own row: HOLDER, the rank that holds the fields of the particle until the end of the drift
     updated: Array  # (n,) the last window in which an owner sent an UPDATE of this row
     free: Array  # (n,) int32, rows that are not in use
@@ -74,20 +73,15 @@ def widest_part(dimension: int) -> int:
 @inner
 def extra_width(rows):
     """Numbers a row of what changes velocities and differs from row to row."""
-    return (
-        (rows.acceleration.shape[1] if len(rows.acceleration) > 0 else 0)
-        + (1 if len(rows.drag) > 0 else 0)
-        + (1 if len(rows.inverse_inertia) > 0 else 0)
-    )
+    return rows.acceleration.shape[1] + (len(rows.drag) > 0) + (len(rows.inverse_inertia) > 0)
 
 
 @lean_inner
-def save_extra(d, rows, i, out, at):
+def save_extra(rows, i, out, at):
     """Write what changes the velocity of row i, and its 1/I, to `out` from place `at` on; returns where it ends."""
-    if len(rows.acceleration) > 0:
-        for k in range(d):
-            out[at + k] = rows.acceleration[i, k]
-        at += d
+    for k in range(rows.acceleration.shape[1]):
+        out[at] = rows.acceleration[i, k]
+        at += 1
     if len(rows.drag) > 0:
         out[at] = rows.drag[i]
         at += 1
@@ -98,12 +92,11 @@ def save_extra(d, rows, i, out, at):
 
 
 @lean_inner
-def load_extra(d, rows, i, numbers, at):
+def load_extra(rows, i, numbers, at):
     """What `save_extra` wrote."""
-    if len(rows.acceleration) > 0:
-        for k in range(d):
-            rows.acceleration[i, k] = numbers[at + k]
-        at += d
+    for k in range(rows.acceleration.shape[1]):
+        rows.acceleration[i, k] = numbers[at]
+        at += 1
     if len(rows.drag) > 0:
         rows.drag[i] = numbers[at]
         at += 1
@@ -111,33 +104,11 @@ def load_extra(d, rows, i, numbers, at):
         rows.inverse_inertia[i] = numbers[at]
 
 
-@lean_inner
-def holds(masks, i, bit):
-    """Is this bit set in row i?"""
-    return (masks[i, bit >> 6] >> (bit & 63)) & 1 == 1
-
-
-@lean_inner
-def add_holder(masks, i, bit):
-    """Set this bit in row i."""
-    masks[i, bit >> 6] |= np.int64(1) << (bit & 63)
-
-
-@lean_inner
-def ownership(holders, i, here):
-    """Of own row i: SHARED if another rank than that of bit `here` holds it, else OWN."""
-    others = holders[i, here >> 6] & ~(np.int64(1) << (here & 63))
-    for b in range(holders.shape[1]):
-        if b != here >> 6:
-            others |= holders[i, b]
-    return SHARED if others != 0 else OWN
-
-
 @lean
-def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
-    """All that the known rank of a bit must know of the window of own rows; returns the length. `message` has room for it."""
+def pack_changes(rows, reference, directory, log, moves, regions, number, message):
+    """What the known rank of that number must know of the window of own rows; returns the length. `message` has room for it."""
     rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
-    rank, me = Regions(*regions).known[bit], Regions(*regions).rank
+    rank, me = Regions(*regions).known[number], Regions(*regions).rank
     out, bits = message
     segment, state, holders = rows.segment, rows.state, directory.holders
     d = dimension(rows)
@@ -148,18 +119,18 @@ def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
         prefetch(segment, log.changed[p])
     for p in log.border[: log.border_count[0]]:
         i = np.int64(log.changed[p])
-        if state[i, OWNERSHIP] == SHARED and holds(holders, i, bit) and has_new_segment(d, rows, log, p):
+        if state[i, OWNERSHIP] == SHARED and holders[i, number] and has_new_segment(d, rows, log, p):
             bits[size], bits[size + 1] = UPDATE, state[i, ID]
             size = save_row(d, rows, i, out, bits, size + HEAD)
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])
-        if holds(moves.holders, m, bit) and not holds(holders, i, bit):
+        if moves.holders[m, number] and not holders[i, number]:
             bits[size], bits[size + 1] = ADD_GHOST, state[i, ID]
             size = save_row(d, rows, i, out, bits, size + HEAD)
             out[size], out[size + 1] = segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS]
             for k in range(d):
                 out[size + 2 + k] = reference[i, k]
-            size = save_extra(d, rows, i, out, size + 2 + d)
+            size = save_extra(rows, i, out, size + 2 + d)
         if moves.owner[m] == rank:
             bits[size], bits[size + 1] = TRANSFER, state[i, ID]
             size += HEAD
@@ -169,7 +140,7 @@ def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
             size += 3 + d
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])
-        if holds(holders, i, bit) and not holds(moves.holders, m, bit):
+        if holders[i, number] and not moves.holders[m, number]:
             bits[size], bits[size + 1] = DROP_GHOST, state[i, ID]
             size += HEAD
     return size

@@ -14,7 +14,7 @@ import numpy as np
 
 from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.event_driven.engine import NAMED, NEVER_CROWDED, Engine
-from particles_mpi.contacts.event_driven.event_loop import HIGHER, LOWER, TC_ELASTIC
+from particles_mpi.contacts.event_driven.event_loop import TC_ELASTIC
 from particles_mpi.contacts.event_driven.jams import Collapse
 from particles_mpi.contacts.event_driven.whole import CHANGING, Whole
 from particles_mpi.contacts.event_driven.windows import Windows
@@ -76,7 +76,6 @@ class EventDriven:
         self.tc_elastic: tuple[int, float, Array] = 0, np.inf, np.empty((0, 3))
         self.crowded_steps = 0
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
-        self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
         self.hold = hold
         self.noting = effects.finishes_bounces
         self.last: LastContacts | None = None
@@ -99,12 +98,12 @@ class EventDriven:
     @property
     def reached(self) -> float:
         """How long the last drift with `stop` took."""
-        return float(self.stopped[0])
+        return float(self.whole.engine.work.stopped[0])
 
     @property
     def met(self) -> tuple[int, int] | None:
         """The ids of the two that ended it, the lower one first, or None."""
-        lower, higher = int(self.stop[LOWER]), int(self.stop[HIGHER])
+        _, lower, higher = self.whole.engine.work.stop.tolist()
         return (lower, higher) if lower >= 0 else None
 
     def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
@@ -164,7 +163,6 @@ class EventDriven:
             self.last = engine.last_contacts(self.whole.rows_of_rank(), moment)
         if self.divided:
             self.windows.engine.events = engine.events // self.ranks.size  # what a rank has to expect
-        self.stop[:], self.stopped[:] = engine.work.stop, engine.work.stopped
         if self.ranks.is_root:  # all ranks saw the same
             self.count_tc_elastic(moment, engine)
         return happened * self.ranks.is_root

@@ -41,10 +41,10 @@ class Rows(NamedTuple):
     segment_bits: Array  # the same memory as int64
     state: Array  # (n, 8) int64: one line of the cache
     reals: Array  # the same memory as float64
-    acceleration: Array  # (n, d), or no row where it is the same for all
+    acceleration: Array  # (n, d), or (n, 0) where it is the same for all
     drag: Array  # (n,) rates of drag, or no row without drag
-    spin: Array  # (n, d(d-1)/2), or no row where spheres are smooth
-    inverse_inertia: Array  # (n,) inverse moments of inertia, likewise
+    spin: Array  # (n, d(d-1)/2), or (n, 0) where spheres are smooth
+    inverse_inertia: Array  # (n,) inverse moments of inertia, or no row where spheres are smooth
 
 
 @inner
@@ -79,10 +79,9 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, sp
         state[i, LAST_PARTNER], state[i, RAPID_EVENTS], state[i, TRAJECTORY_HASH] = NOBODY, 0, 0
         reals[i, LAST_CONTACT] = last_contact[p]
         reals[i, VIRIAL] = virial[p] if len(virial) else 0.0
-        if len(acceleration) > 0:
-            for k in range(d):
-                rows.acceleration[i, k] = acceleration[p, k]
-        for c in range(spin_width(rows)):
+        for k in range(rows.acceleration.shape[1]):
+            rows.acceleration[i, k] = acceleration[p, k]
+        for c in range(rows.spin.shape[1]):
             rows.spin[i, c] = spin[p, c]
     return moved, sqrt(fastest)
 
@@ -129,7 +128,7 @@ def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowd_fr
         for k in range(d):
             x[p, k] = segment[i, k]
             v[p, k] = segment[i, d + k]
-        for c in range(spin_width(rows)):
+        for c in range(rows.spin.shape[1]):
             spin[p, c] = rows.spin[i, c]
         last_contact[p] = reals[i, LAST_CONTACT]
         if len(virial):
@@ -139,14 +138,8 @@ def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowd_fr
 
 
 @inner(inline="always")
-def spin_width(rows):
-    """Numbers of a spin, 0 where spheres are smooth."""
-    return rows.spin.shape[1] if len(rows.spin) > 0 else 0
-
-
-@inner(inline="always")
 def record_width(d, spins):
-    """Numbers in a record, in d dimensions; `spins`: see `spin_width`."""
+    """Numbers in a record, in d dimensions, with spins of so many components."""
     return 2 * d + START + 1 + SAVED + spins
 
 
@@ -194,9 +187,9 @@ def save_row(d, rows, i, out, out_bits, at):
     for k in range(SAVED):
         out_bits[at + k] = state[i, k]
     at += SAVED
-    for c in range(spin_width(rows)):
+    for c in range(rows.spin.shape[1]):
         out[at + c] = rows.spin[i, c]
-    return at + spin_width(rows)
+    return at + rows.spin.shape[1]
 
 
 @in_place
@@ -208,7 +201,7 @@ def load_row(d, rows, i, record, bits, at):
     at += 2 * d + START + 1
     for k in range(SAVED):
         state[i, k] = bits[at + k]
-    for c in range(spin_width(rows)):
+    for c in range(rows.spin.shape[1]):
         rows.spin[i, c] = record[at + SAVED + c]
     state[i, EVENT_COUNT] += 1
 
@@ -223,7 +216,7 @@ def save_once(axes, rows, i, log):
         if rows.state[i, OWNERSHIP] != OWN:
             log.border[log.border_count[0]] = count[0]
             log.border_count[0] += 1
-        save_row(np.int64(len(axes)), rows, i, log.saved, log.saved_bits, count[0] * record_width(len(axes), spin_width(rows)))
+        save_row(np.int64(len(axes)), rows, i, log.saved, log.saved_bits, count[0] * record_width(len(axes), rows.spin.shape[1]))
         count[0] += 1
 
 
@@ -254,4 +247,4 @@ def note_move(i, log):
 @in_place
 def has_new_segment(d, rows, log, p):
     """Has the row at place p of the log got a new segment in the window, or only a new reference position?"""
-    return log.saved_bits[p * record_width(d, spin_width(rows)) + hash_place(d)] != rows.state[log.changed[p], TRAJECTORY_HASH]
+    return log.saved_bits[p * record_width(d, rows.spin.shape[1]) + hash_place(d)] != rows.state[log.changed[p], TRAJECTORY_HASH]

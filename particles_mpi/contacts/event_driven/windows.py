@@ -144,7 +144,7 @@ class Windows:
             engine.run(begin, until, moment)
         with self.timers("ghosts"):
             moves = part.plan_moves()
-            changes = [part.changes_for(bit, moves) for bit in range(len(part.neighbours))]
+            changes = [part.changes_for(number, moves) for number in range(len(part.neighbours))]
             message = message_of(sendrecv(ranks, part.neighbours, changes))  # what happened elsewhere to rows that are here too
             rows, directory, regions = tuple(engine.rows), tuple(part.directory), tuple(part.regions)
             wrong, differing = verify(rows, tuple(engine.lists.arrays), directory, tuple(log), regions, begin, message)
