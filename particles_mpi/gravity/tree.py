@@ -91,9 +91,20 @@ class Tree:
         return named_columns(back["result"].take(rows_in_order(order), axis=0))
 
     def cut(self, keys: Array, work: Array) -> Array:
-        """The first key of every rank but the first, (ranks - 1,), from this rank's sorted keys. Collective."""
-        cuts = equal_shares(self.ranks, keys, work)
-        return cut_between_groups(cuts, self.ranks.allreduce_sum(count_in_cells(keys, cuts, self.dimension)), self.dimension)
+        """The first key of every rank but the first, (ranks - 1,), from this rank's sorted keys. Collective.
+
+        A cut that gives equal shares of the work moves to the first key of the group that it lies in, which is the largest cell
+        around it with at most GROUP particles. In `first` and `last` are the keys at the ends of its cells, level by level.
+        """
+        cuts, d, deep = equal_shares(self.ranks, keys, work), self.dimension, levels(self.dimension)
+        shift = d * (deep - np.arange(deep + 1))
+        size = np.minimum(shift, 62)
+        first = np.where(shift < 63, cuts[:, None] >> size << size, 0)
+        last = np.where(shift < 63, first + (1 << size) - 1, LAST_KEY)
+        counts = self.ranks.allreduce_sum(np.searchsorted(keys, last, "right") - np.searchsorted(keys, first))
+        small = counts <= GROUP
+        small[:, -1] = True
+        return first[np.arange(len(cuts)), small.argmax(axis=1)]
 
     def attract_sorted(self, keys: Array, x: Array, mass: Array, low: int, high: int, unit: int) -> Array:
         """The result (n, RESULT) for this rank's targets, by key: all with keys from `low` to `high`. Collective.
@@ -173,28 +184,6 @@ def equal_shares(ranks: Communicator, keys: Array, work: Array) -> Array:
         low, high = edges[every, at - 1], edges[every, at]
         if not ((reached[every, at] - reached[every, at - 1] > KNOWN_WELL * total / ranks.size) & (high - low > 1)).any():
             return low
-
-
-def cells_of(cuts: Array, d: int) -> tuple[Array, Array]:
-    """First and last key of the cell that contains each cut, for every level: two arrays (cuts, levels + 1)."""
-    deep = levels(d)
-    shift = d * (deep - np.arange(deep + 1))
-    size = np.minimum(shift, 62)
-    first = np.where(shift < 63, cuts[:, None] >> size << size, 0)
-    return first, np.where(shift < 63, first + (1 << size) - 1, np.iinfo(np.int64).max)
-
-
-def count_in_cells(keys: Array, cuts: Array, d: int) -> Array:
-    """How many of the sorted keys lie in the cells of `cells_of`, (cuts, levels + 1)."""
-    first, last = cells_of(cuts, d)
-    return np.searchsorted(keys, last, "right") - np.searchsorted(keys, first)
-
-
-def cut_between_groups(cuts: Array, counts: Array, d: int) -> Array:
-    """Each cut moved to the first key of the group it lies in; `counts`: of `count_in_cells`, summed over all ranks."""
-    small = counts <= GROUP
-    small[:, -1] = True
-    return cells_of(cuts, d)[0][np.arange(len(cuts)), small.argmax(axis=1)]
 
 
 @kernel
