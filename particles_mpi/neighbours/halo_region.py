@@ -50,14 +50,6 @@ def everywhere(dimension: int) -> HaloRegion:
     return HaloRegion(own, np.empty((0, 2, dimension)), np.zeros(1, np.int32), np.empty(0, np.int32))
 
 
-def overlapping_boxes(one: Array, boxes: Array, length: Array) -> Array:
-    """Which of the boxes (m, 2, d) overlap the box `one` (2, d), or an image of it; (m,)."""
-    overlap = np.zeros(boxes.shape[::2], bool)
-    for shift in (0.0, length, -length):
-        overlap |= (one[0] + shift <= boxes[:, 1]) & (one[1] + shift >= boxes[:, 0])
-    return np.asarray(overlap.all(axis=1))
-
-
 def fetch_near_rows(
     ranks: Communicator,
     arrays: dict[str, Array],
@@ -86,7 +78,10 @@ def build(
     outwards = np.array([[-1.0] * d, [1.0] * d])
     wide = boxes + margins.slack * outwards
     outer = wide + margins.clearance * outwards
-    others = overlapping_boxes(wide[rank], outer, length)
+    overlap = np.zeros((len(boxes), d), bool)  # with this rank's, or an image of it, axis by axis
+    for shift in (0.0, length, -length):
+        overlap |= (wide[rank, 0] + shift <= outer[:, 1]) & (wide[rank, 1] + shift >= outer[:, 0])
+    others = np.asarray(overlap.all(axis=1))
     others[rank] = False
     places = np.flatnonzero(others)
     sent = [rows_near_box(*state, horizon, outer[p, 0], outer[p, 1], length) for p in places]
