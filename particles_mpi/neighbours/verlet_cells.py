@@ -94,12 +94,14 @@ def cells_along(y, reach, low, per_length, cells, periodic):
 
 
 @in_place
-def first_in_cells(axes, lists, place, i, size):
-    """Write the first row of each cell in which rows no further than `size` + R + skin from place[i] can be to `lists.nearby`;
-    returns how many."""
+def rows_in_cells(axes, lists, place, i, size):
+    """Write the rows in all cells in which rows no further than `size` + R + skin from place[i] can be to `lists.nearby`.
+
+    Returns how many. The first of each cell come first, then the next ones: without a branch the memory answers many at once.
+    """
     reference, nearby = lists.reference, lists.nearby
     _, _, length = lists.box
-    head, _, _, _, (low, per_length, cells, first, largest) = lists.linked
+    head, following, _, _, (low, per_length, cells, first, largest) = lists.linked
     d = len(axes)
     waiting = 0
     f0 = f1 = f2 = 0
@@ -124,6 +126,13 @@ def first_in_cells(axes, lists, place, i, size):
                     prefetch(reference, j)  # for -1 it asks in vain
                     nearby[np.uint64(waiting)] = j
                     waiting += j >= 0
+    p = 0
+    while p < waiting:
+        after = following[np.uint64(nearby[np.uint64(p)])]
+        p += 1
+        prefetch(reference, after)
+        nearby[np.uint64(waiting)] = after
+        waiting += after >= 0
     return waiting
 
 

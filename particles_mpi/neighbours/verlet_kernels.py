@@ -13,7 +13,7 @@ from particles_mpi.kernels.geometry import some_nearest
 from particles_mpi.kernels.jit import in_place, lean, lean_inner, prefetch, screening
 from particles_mpi.kernels.lanes import LANE_COUNT, columns_of, eight
 from particles_mpi.neighbours.cells import link, unlink
-from particles_mpi.neighbours.verlet_cells import MARGIN, NO_CELL, cell_of, first_in_cells
+from particles_mpi.neighbours.verlet_cells import MARGIN, NO_CELL, cell_of, rows_in_cells
 from particles_mpi.particles import Array
 
 BLOCK_NUMBERS = 32  # of a row in the pool, two lines of the cache: its span and places for a list; longer ones stand behind
@@ -30,7 +30,9 @@ class Lists(NamedTuple):
     pool: Array  # int32: `spans`, with the rows in all lists, and behind it lists that got too long for their blocks
     used: Array  # (1,) places of the pool that are in use
     nearby: Array  # (n + 2,) int32, scratch: rows that `find_nearby` found
-    linked: tuple[Any, ...]  # a `LinkedCells` whose grid is a `VerletGrid`, as plain tuples: see `jit.plain`
+    linked: tuple[
+        Any, ...
+    ]  # a `LinkedCells` on a `VerletGrid`, links in the memory of `reference`; plain tuples: see `jit.plain`
     box: tuple[Array, ...]  # a `Box`, as a plain tuple
     boxes_per_length: Array  # (d,) boxes in a unit of length on periodic axes, 0 on others
 
@@ -59,17 +61,8 @@ def may_meet(axes, lists, i, others):
 @in_place
 def find_nearby(axes, lists, i):
     """Write the rows that `may_meet` row i to `lists.nearby`; returns how many."""
-    reference, nearby, (_, following, _, _, _) = lists.reference, lists.nearby, lists.linked
-    d = len(axes)
-    waiting = first_in_cells(axes, lists, reference, i, reference[i, d + SIZE])
-    # The next one in the cell of each is put behind: without a branch the memory answers many at once.
-    p = 0
-    while p < waiting:
-        after = following[np.uint64(nearby[np.uint64(p)])]
-        p += 1
-        prefetch(reference, after)
-        nearby[np.uint64(waiting)] = after
-        waiting += after >= 0
+    reference, nearby = lists.reference, lists.nearby
+    waiting = rows_in_cells(axes, lists, reference, i, reference[i, len(axes) + SIZE])
     found = 0
     for first in range(0, waiting, LANE_COUNT):
         meet = may_meet(axes, lists, np.uint64(i), columns_of_reference(axes, reference, nearby, first, waiting - 1))

@@ -16,6 +16,7 @@ from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.event_driven.engine import NAMED, NEVER_CROWDED, Engine
 from particles_mpi.contacts.event_driven.event_loop import TC_ELASTIC
 from particles_mpi.contacts.event_driven.jams import Collapse
+from particles_mpi.contacts.event_driven.partition import Partition
 from particles_mpi.contacts.event_driven.whole import CHANGING, Whole
 from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.velocity_flow import Rates
@@ -79,7 +80,7 @@ class EventDriven:
         self.hold = hold
         self.noting = effects.finishes_bounces
         self.last: LastContacts | None = None
-        self.parts: list[Whole | Windows] = []  # what has been needed so far
+        self.parts: list[Whole | Partition] = []  # what has been needed so far| Windows] = []  # what has been needed so far
 
     @cached_property
     def whole(self) -> Whole:
@@ -88,7 +89,8 @@ class EventDriven:
 
     @cached_property
     def windows(self) -> Windows:
-        self.parts.append(windows := Windows(self.particles, self.ranks, Engine(*self.rules), self.box, self.timers))
+        windows = Windows(self.particles, self.ranks, Engine(*self.rules), self.box, self.timers)
+        self.parts.append(windows.partition)
         return windows
 
     @property

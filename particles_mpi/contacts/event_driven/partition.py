@@ -1,7 +1,6 @@
 """Which rows a rank has in mode `event` on several ranks: its own, and as ghosts those that they may meet in a step.
 
-Space is divided into regions. A rank owns the particles whose reference positions are in its region, and has those near it as
-ghosts, to a depth through which errors must come. Reference positions, and with them owners and holders of rows, change in the
+Regions and ghosts are those that `windows` tells of. Reference positions, and with them owners and holders of rows, change in the
 course of a step; particles follow at its end.
 """
 
@@ -84,9 +83,9 @@ class Partition:
         reference = lists.arrays.reference
         reference[:n, d + SIZE] = p.radius + np.where(p.inverse_mass > 0.0, self.skin, 0.0)
         mark_holders(reference, np.arange(n, dtype=np.int32), tuple(self.regions), holders)
-        held = [np.flatnonzero(holders[:, k]) for k in range(known - 1)]
-        shared, counts = np.concatenate([*held, np.empty(0, np.int64)]).astype(np.int64), np.zeros(ranks.size, np.int32)
-        counts[self.neighbours] = list(map(len, held))
+        _, shared = np.nonzero(holders[:, :-1].T)
+        counts = np.zeros(ranks.size, np.int32)
+        counts[self.neighbours] = holders[:, :-1].sum(axis=0)
         sent = {name: column for name, column in p.arrays.items() if field(name).ghost or name == "virial"}
         arrived, _ = send_rows(ranks, sent, shared, counts)
         here = Particles(d, {name: np.concatenate((column, arrived[name])) for name, column in sent.items()})

@@ -9,7 +9,7 @@ from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, Log, record
 from particles_mpi.kernels.geometry import some_nearest
 from particles_mpi.kernels.jit import in_place, inner, kernel, lean_inner, prefetch
 from particles_mpi.kernels.markers import RADIUS, START
-from particles_mpi.neighbours.verlet_cells import MARGIN, first_in_cells
+from particles_mpi.neighbours.verlet_cells import MARGIN, rows_in_cells
 from particles_mpi.neighbours.verlet_kernels import SIZE
 from particles_mpi.parallel.decomposition import owners
 from particles_mpi.particles import Array
@@ -126,7 +126,7 @@ def can_affect_owned(rows, lists, log, regions, i, begin, place):
 
     It may if one was so near to it then that both can have come together. Most rows are too far from the region for any.
     """
-    segment, nearby, (_, following, _, _, _) = rows.segment, lists.nearby, lists.linked
+    segment, nearby = rows.segment, lists.nearby
     _, _, length = lists.box
     d = regions.low.shape[1]
     radius = segment[i, 2 * d + RADIUS]
@@ -135,14 +135,8 @@ def can_affect_owned(rows, lists, log, regions, i, begin, place):
     if distance2(regions, regions.rank, place, np.int64(0)) > within * within:
         return False
     # An own row was within its skin of its reference position, or has got a new one within its skin of where it came to.
-    waiting = first_in_cells(length, lists, place, np.int64(0), radius + 3.0 * regions.bound)
-    p = 0
-    while p < waiting:
+    for p in range(rows_in_cells(length, lists, place, np.int64(0), radius + 3.0 * regions.bound)):
         j = np.int64(nearby[p])
-        p += 1
-        if following[j] >= 0:
-            nearby[waiting] = following[j]
-            waiting += 1
         if rows.state[j, OWNERSHIP] < OWN:
             continue
         place_at_begin(rows, log, j, begin, place, 1)

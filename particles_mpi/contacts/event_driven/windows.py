@@ -54,10 +54,6 @@ class Windows:
         self.growing = True
         self.verified = 0, 0  # `count` and `redone` when the depth was last fitted
 
-    @property
-    def searches(self) -> int:
-        return self.partition.searches
-
     def drift(self, h: float, moment: float) -> Array | None:
         """(collisions, wall hits, missed) of this rank, or None where it cannot be done; then nothing has changed. Collective."""
         engine, p = self.engine, self.particles
