@@ -47,7 +47,7 @@ def roll_back(rows, log, stale):
     rows, log = Rows(*rows), Log(*log)
     d, record = dimension(rows), record_width(dimension(rows), rows.spin.shape[1])
     for p in range(log.changed_count[0]):
-        load_row(d, rows, np.int64(log.changed[p]), log.saved, log.saved_bits, p * record)
+        load_row(d, rows, np.int64(log.changed[p]), log.saved, p * record)
         stale[p] = log.changed[p]
     return log.changed_count[0]
 
@@ -58,19 +58,19 @@ def verify(rows, lists, directory, log, regions, begin, message):
 
     It must if such a ghost could have touched an own row. `message`: all that arrived; a ghost of which no UPDATE tells did not
     change at its owner. Of the ghosts that differ (m, 2): the row, and the place of its right record in the message; or, if that
-    is in `log.saved`, len(numbers) plus its place there.
+    is in `log.saved`, len(message) plus its place there.
     """
     rows, lists, directory, log, regions = Rows(*rows), Lists(*lists), Directory(*directory), Log(*log), Regions(*regions)
-    numbers, bits = message
+    bits = message.view(np.int64)
     state, table, updated = rows.state, directory.table, directory.updated
     d, extra, window = regions.low.shape[1], extra_width(rows), log.window[0]
     record = record_width(d, rows.spin.shape[1])
-    differing, found = np.empty((len(numbers) // (HEAD + record) + log.border_count[0], 2), np.int64), 0
+    differing, found = np.empty((len(message) // (HEAD + record) + log.border_count[0], 2), np.int64), 0
     place = np.empty((2, d))
     wrong = False
     for step in range(2):  # first to the cache
         at = 0
-        while at < len(numbers):
+        while at < len(message):
             if bits[at] == UPDATE:
                 if step == 0:
                     prefetch(table, home(table, bits[at + 1]))
@@ -80,7 +80,7 @@ def verify(rows, lists, directory, log, regions, begin, message):
                     prefetch(updated, i)
             at += part_width(bits[at], d, record, extra)
     at = 0
-    while at < len(numbers):
+    while at < len(message):
         if bits[at] == UPDATE:
             i = row_of(table, bits[at + 1])
             updated[i] = window
@@ -93,7 +93,7 @@ def verify(rows, lists, directory, log, regions, begin, message):
         i = np.int64(log.changed[p])
         if state[i, OWNERSHIP] == GHOST and updated[i] != window and has_new_segment(d, rows, log, p):
             wrong = wrong or can_affect_owned(rows, lists, log, regions, i, begin, place)
-            differing[found, 0], differing[found, 1] = i, len(numbers) + p * record
+            differing[found, 0], differing[found, 1] = i, len(message) + p * record
             found += 1
     return wrong, differing[:found]
 
@@ -105,15 +105,14 @@ def reconcile(rows, directory, log, message, differing, moves, regions, stale):
     Returns how many rows, written to `stale`, must find their next events again.
     """
     rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
-    numbers, bits = message
     rank, here = Regions(*regions).rank, len(Regions(*regions).known) - 1
     d, state, holders = dimension(rows), rows.state, directory.holders
     for p in range(len(differing)):
         i, at = differing[p, 0], differing[p, 1]
-        if at < len(numbers):
-            load_row(d, rows, i, numbers, bits, at)
+        if at < len(message):
+            load_row(d, rows, i, message, at)
         else:
-            load_row(d, rows, i, log.saved, log.saved_bits, at - len(numbers))
+            load_row(d, rows, i, log.saved, at - len(message))
         stale[p] = i
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])
@@ -133,7 +132,7 @@ def list_at(axes, rows, lists, directory, message, at, record, skin):
 
     Returns (row, 0), or as `apply_moves` what it is short of: then it is not listed yet, and to be called again.
     """
-    numbers, bits = message
+    bits = message.view(np.int64)
     d, reference, segment = len(axes), lists.reference, rows.segment
     particle, new = bits[at + 1], bits[at] == ADD_GHOST
     if new:
@@ -141,7 +140,7 @@ def list_at(axes, rows, lists, directory, message, at, record, skin):
             return -1, -1
         i = np.int64(directory.free[directory.free_count[0] - 1])
         size = at + HEAD + record  # where R and 1/m are, and behind them the reference position
-        segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS] = numbers[size], numbers[size + 1]
+        segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS] = message[size], message[size + 1]
         reference[i, d + SKIN] = skin if reference[i, d + INVERSE_MASS] > 0.0 else 0.0
         reference[i, d + SIZE] = segment[i, 2 * d + RADIUS] + reference[i, d + SKIN]
         lists.level[i] = level_of(reference[i, d + SIZE], lists)
@@ -150,7 +149,7 @@ def list_at(axes, rows, lists, directory, message, at, record, skin):
         i = row_of(directory.table, particle)
         place = at + HEAD + 3
     for k in range(d):
-        reference[i, k] = numbers[place + k]
+        reference[i, k] = message[place + k]
     short = list_anew(axes, lists, i)
     if short > 0:
         return i, short
@@ -158,15 +157,15 @@ def list_at(axes, rows, lists, directory, message, at, record, skin):
         directory.free_count[0] -= 1
         put(directory.table, particle, i)
         rows.state[i, ID], rows.state[i, OWNERSHIP] = particle, GHOST
-        load_row(d, rows, i, numbers, bits, at + HEAD)
-        load_extra(rows, i, numbers, place + d)
+        load_row(d, rows, i, message, at + HEAD)
+        load_extra(rows, i, message, place + d)
     return i, 0
 
 
 @inner
 def take_over(rows, lists, directory, regions, message, at, i):
     """Row i is an own one from now on, as the TRANSFER at this place says; who holds it is found as the sender did."""
-    _, bits = message
+    bits = message.view(np.int64)
     holders, known, at_row = directory.holders, Regions(*regions).known, np.full(1, i, np.int32)
     holder, place, before = bits[at + HEAD], bits[at + HEAD + 1], bits[at + HEAD + 2]
     directory.fields_at[i, HOLDER], directory.fields_at[i, PLACE] = holder, place
@@ -199,9 +198,9 @@ def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin,
     again from there.
     """
     rows, lists, queue, directory = Rows(*rows), Lists(*lists), Queue(*queue), Directory(*directory)
-    numbers, bits = message
+    bits = message.view(np.int64)
     extra, record = extra_width(rows), record_width(len(axes), rows.spin.shape[1])
-    while at < len(numbers):
+    while at < len(message):
         kind, particle = bits[at], bits[at + 1]
         if kind == DROP_GHOST:
             drop_ghost(axes, rows, lists, queue, directory, particle)

@@ -92,16 +92,16 @@ class Engine:
         n, d = p.position.shape
         total = n + spare
         segment, state = aligned(total, 2 * d + 2), aligned(total, 8).view(np.int64)
-        reals = state.view(np.float64)
         names = [name for name in ("total_acceleration", "spin", "drag") if name in p.arrays]
         fields = {name: enlarged(p[name], np.zeros((total, *p[name].shape[1:]))) for name in names}
         acceleration, spin = (fields.get(name, np.empty((total, 0))) for name in ("total_acceleration", "spin"))
         drag, inverse_inertia = fields.get("drag", np.empty(0)), enlarged(p.inverse_inertia, np.zeros(total * ("spin" in fields)))
-        self.rows = Rows(segment, segment.view(np.int64), state, reals, acceleration, drag, spin, inverse_inertia)
+        self.rows = Rows(segment, state, acceleration, drag, spin, inverse_inertia)
         segment[:n, :d], segment[:n, 2 * d + RADIUS] = p.position, p.radius
         state[:] = 0
         state[:n, ID], state[:n, OWNERSHIP] = p.id, GHOST
         state[:owned, OWNERSHIP] = OWN
+        reals = state.view(np.float64)
         reals[:n, LAST_CONTACT] = times_of_contact(p)
         if "virial" in p.arrays:
             reals[:n, VIRIAL] = p.virial
@@ -113,10 +113,8 @@ class Engine:
     def grow(self) -> Array:
         """Twice as many rows; returns the new ones, which are free."""
         n = len(self.rows.state)
-        rows = doubled(self.rows, "segment", "state", "acceleration", "drag", "spin", "inverse_inertia")
-        self.rows = rows._replace(segment_bits=rows.segment.view(np.int64), reals=rows.state.view(np.float64))
-        log = doubled(self.log, "changed", "mark", "saved", "moved", "is_moved", "border")
-        self.log = log._replace(saved_bits=log.saved.view(np.int64))
+        self.rows = doubled(self.rows, "segment", "state", "acceleration", "drag", "spin", "inverse_inertia")
+        self.log = doubled(self.log, "changed", "mark", "saved", "moved", "is_moved", "border")
         self.node = np.concatenate((self.node, np.full_like(self.node, NO_EVENT)))
         self.queue = self.queue._replace(node=self.node, times=self.node.view(np.float64))
         self.work = doubled(self.work, "stale")
@@ -191,13 +189,13 @@ class Engine:
 
     def last_contacts(self, own_rows: Array, moment: float) -> LastContacts:
         """Those of own rows in the drift that began at `moment` and has ended; particle r in row own_rows[r]."""
-        (segment, _, state, reals), d = self.rows[:4], len(self.axes)
+        segment, state, d = self.rows.segment, self.rows.state, len(self.axes)
         reference = self.lists.arrays.reference
         fixed = (reference[:, d + INVERSE_MASS] == 0.0) & (state[:, OWNERSHIP] != NOT_HERE)
         moved = np.flatnonzero((state[own_rows, LAST_PARTNER] != NOBODY) & ~fixed[own_rows])
         rows = own_rows[moved]
         known = {"id": state[fixed, ID], "place": segment[fixed, :d], "radius": segment[fixed, 2 * d + RADIUS]}
-        return LastContacts(moved, state[rows, LAST_PARTNER], reals[rows, LAST_CONTACT] - moment, known)
+        return LastContacts(moved, state[rows, LAST_PARTNER], state.view(np.float64)[rows, LAST_CONTACT] - moment, known)
 
     def write_back(self, p: Particles, own_rows: Array) -> None:
         """Particle r of p as row own_rows[r] is."""

@@ -155,7 +155,7 @@ def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t):
         note_contact(axes, rows, j, t, state[i, ID], elastic, rules, work)
         loss = (1.0, 1.0) if elastic else (rules.loss.restitution, rules.loss.velocity_factor)
         length = lists.box[2]
-        rows.reals[i, VIRIAL] += collide(
+        state.view(np.float64)[i, VIRIAL] += collide(
             axes, rows.segment, lists.reference, i, j, t, loss, length, rules.rates, rough, elastic, work.r
         )
         stop_squeezed(axes, rows, i, rules.crowd_from)

@@ -9,6 +9,8 @@ two, so that it moves nothing, and is exact again when `rows.end_drift` gives it
 
 from typing import NamedTuple
 
+import numpy as np
+
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     FOLLOWING,
@@ -81,7 +83,7 @@ def progress(d, segment, i, t, h, elastic):
 def takes_nothing(d, rows, i, t, rules):
     """Does a contact of row i at time t of a drift take no energy? See `Collapse`; rules: `event_loop.Rules`."""
     collapse = rules.collapse
-    soon = abs(rules.moment + t - rows.reals[i, LAST_CONTACT]) < collapse.duration
+    soon = abs(rules.moment + t - rows.state.view(np.float64)[i, LAST_CONTACT]) < collapse.duration
     if collapse.before == 0:
         return soon
     rapid = rows.state[i, RAPID_EVENTS]
@@ -98,7 +100,7 @@ def note_contact(axes, rows, i, t, partner, elastic, rules, work):
     With `crowd_from` quick contacts it is one of a crowd, whose rows wait as squeezed ones do. `elastic`: the contact
     `takes_nothing`, because it follows others so soon. rules, work: see `event_loop`.
     """
-    state, reals = rows.state, rows.reals
+    state, reals = rows.state, rows.state.view(np.float64)
     if t - rows.segment[i, 2 * len(axes) + START] > STANDING * rules.length:  # contacts at the same moment are as one
         following = state[i, RAPID_EVENTS] % ZERO_TIME_EVENT // FOLLOWING
         soon = abs(rules.moment + t - reals[i, LAST_CONTACT]) < rules.collapse.duration

@@ -1,6 +1,6 @@
 """What ranks send one another after a window of time: compiled parts of `windows`. `arrivals` is what they do with it.
 
-A message is a series of numbers, each part beginning with its kind and a particle's id:
+A message is a series of float64, or of int64 in their place, each part beginning with its kind and a particle's id:
 
 - UPDATE: the record (see `rows`) of a row that was changed, to all ranks that hold it as a ghost.
 - ADD_GHOST: the record, R, 1/m, reference position, the acceleration where it differs from row to row, the drag if there is
@@ -45,11 +45,6 @@ class Directory(NamedTuple):
     updated: Array  # (n,) the last window in which an owner sent an UPDATE of this row
     free: Array  # (n,) int32, rows that are not in use
     free_count: Array  # (1,) how many these are
-
-
-def message_of(numbers: Array) -> tuple[Array, Array]:
-    """A message as kernels take it: the numbers, and the same memory as int64."""
-    return numbers, numbers.view(np.int64)
 
 
 @inner
@@ -109,7 +104,7 @@ def pack_changes(rows, reference, directory, log, moves, regions, number, messag
     """What the known rank of that number must know of the window of own rows; returns the length. `message` has room for it."""
     rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
     rank, me = Regions(*regions).known[number], Regions(*regions).rank
-    out, bits = message
+    bits = message.view(np.int64)
     segment, state, holders = rows.segment, rows.state, directory.holders
     d = dimension(rows)
     size = 0
@@ -121,22 +116,22 @@ def pack_changes(rows, reference, directory, log, moves, regions, number, messag
         i = np.int64(log.changed[p])
         if state[i, OWNERSHIP] == SHARED and holders[i, number] and has_new_segment(d, rows, log, p):
             bits[size], bits[size + 1] = UPDATE, state[i, ID]
-            size = save_row(d, rows, i, out, bits, size + HEAD)
+            size = save_row(d, rows, i, message, size + HEAD)
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])
         if moves.holders[m, number] and not holders[i, number]:
             bits[size], bits[size + 1] = ADD_GHOST, state[i, ID]
-            size = save_row(d, rows, i, out, bits, size + HEAD)
-            out[size], out[size + 1] = segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS]
+            size = save_row(d, rows, i, message, size + HEAD)
+            message[size], message[size + 1] = segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS]
             for k in range(d):
-                out[size + 2 + k] = reference[i, k]
-            size = save_extra(rows, i, out, size + 2 + d)
+                message[size + 2 + k] = reference[i, k]
+            size = save_extra(rows, i, message, size + 2 + d)
         if moves.owner[m] == rank:
             bits[size], bits[size + 1] = TRANSFER, state[i, ID]
             size += HEAD
             bits[size], bits[size + 1], bits[size + 2] = directory.fields_at[i, HOLDER], directory.fields_at[i, PLACE], me
             for k in range(d):
-                out[size + 3 + k] = reference[i, k]
+                message[size + 3 + k] = reference[i, k]
             size += 3 + d
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])

@@ -8,7 +8,7 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.engine import Engine
 from particles_mpi.contacts.event_driven.id_table import rows_of_ids, table_of
-from particles_mpi.contacts.event_driven.messages import HOLDER, PLACE, Directory, message_of, pack_changes, widest_part
+from particles_mpi.contacts.event_driven.messages import HOLDER, PLACE, Directory, pack_changes, widest_part
 from particles_mpi.contacts.event_driven.regions import Moves, Regions, distances2, mark_holders, plan_moves
 from particles_mpi.contacts.event_driven.rows import (
     ID,
@@ -155,11 +155,11 @@ class Partition:
         """What happened in the window, for the known rank of that number."""
         engine, log, d = self.engine, self.engine.log, len(self.box.length)
         parts = int(log.border_count[0]) + 3 * int(log.moved_count[0])
-        message = message_of(np.empty(parts * widest_part(d)))
+        message = np.empty(parts * widest_part(d))
         rows, directory, reference = tuple(engine.rows), tuple(self.directory), engine.lists.arrays.reference
         regions = tuple(self.regions)
         size = pack_changes(rows, reference, directory, tuple(log), tuple(moves), regions, number, message)
-        return message[0][:size].copy()  # the rest of the room is given back
+        return message[:size].copy()  # the rest of the room is given back
 
     def grow(self) -> None:
         """More rows than there is room for came near."""

@@ -33,14 +33,12 @@ class Rows(NamedTuple):
     A particle's path in a drift is made of straight segments: x + v (t - START) from its last contact on. Its position is not
     brought to other times before the next contact, so that no look at it leaves a trace in the bits. Of each row, in `state`:
     LAST_PARTNER in this drift is an id, -1 - wall, or NOBODY; TRAJECTORY_HASH, a hash of all its segments in this drift;
-    EVENT_COUNT, how often its path was changed: an event that was foreseen with another count is void. In `reals`: the time
+    EVENT_COUNT, how often its path was changed: an event that was foreseen with another count is void. As float64: the time
     of its LAST_CONTACT, and VIRIAL, the sum of r.J over its collisions (`law.collide_pair`).
     """
 
     segment: Array  # (n, 2 d + 2): x (d), v (d), START, RADIUS
-    segment_bits: Array  # the same memory as int64
-    state: Array  # (n, 8) int64: one line of the cache
-    reals: Array  # the same memory as float64
+    state: Array  # (n, 8) int64, some columns of which are float64: one line of the cache
     acceleration: Array  # (n, d), or (n, 0) where it is the same for all
     drag: Array  # (n,) rates of drag, or no row without drag
     spin: Array  # (n, d(d-1)/2), or (n, 0) where spheres are smooth
@@ -61,7 +59,7 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, sp
     anything is not finite.
     """
     rows = Rows(*rows)
-    segment, state, reals = rows.segment, rows.state, rows.reals
+    segment, state, reals = rows.segment, rows.state, rows.state.view(np.float64)
     d = len(axes)
     moved = False
     fastest = 0.0
@@ -121,7 +119,7 @@ def end_drift(axes, rows, h, reference, box, stops):
 def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowd_from, own_rows):
     """Particle p as row own_rows[p] is; those with `crowd_from` quick contacts are CROWD in `supported` if that has rows."""
     rows = Rows(*rows)
-    segment, state, reals = rows.segment, rows.state, rows.reals
+    segment, state, reals = rows.segment, rows.state, rows.state.view(np.float64)
     d = len(axes)
     for p in range(len(x)):
         i = own_rows[p]
@@ -158,7 +156,6 @@ class Log(NamedTuple):
     stamp: Array  # (1,) grows from window to window, by more than the changes in it: so marks need not be cleared
     mark: Array  # (n,) of a row that was changed in this window: stamp + its place in `changed`; of others less than the stamp
     saved: Array  # (n * record_width,) records of these rows, as they were before
-    saved_bits: Array  # the same memory as int64
     fastest2: Array  # (1,) the largest square of a speed that a contact gave
     moved_count: Array  # (1,) own rows that got new reference positions, since `reconcile` dealt with the last ones
     moved: Array  # (n,) int32, these
@@ -169,23 +166,22 @@ class Log(NamedTuple):
 
 def new_log(n: int, d: int, spins: int) -> Log:
     """For n rows in d dimensions, whose spins have so many components, 0 where spheres are smooth."""
-    saved = np.empty(n * record_width(d, spins))
     one = np.zeros((4, 1), np.int64)
     return Log(
-        one[0], one[1], np.empty(n, np.int32), np.ones(1, np.int64), np.zeros(n, np.int64), saved, saved.view(np.int64),
+        one[0], one[1], np.empty(n, np.int32), np.ones(1, np.int64), np.zeros(n, np.int64), np.empty(n * record_width(d, spins)),
         np.zeros(1), one[2], np.empty(n, np.int32), np.zeros(n, np.bool_), one[3], np.empty(n, np.int32),
     )  # fmt: skip
 
 
 @in_place
-def save_row(d, rows, i, out, out_bits, at):
+def save_row(d, rows, i, out, at):
     """Write the record of row i, in d dimensions, to `out` from place `at` on; returns where it ends."""
-    segment, state = rows.segment, rows.state
+    segment, state, bits = rows.segment, rows.state, out.view(np.int64)
     for k in range(2 * d + START + 1):
         out[at + k] = segment[i, k]
     at += 2 * d + START + 1
     for k in range(SAVED):
-        out_bits[at + k] = state[i, k]
+        bits[at + k] = state[i, k]
     at += SAVED
     for c in range(rows.spin.shape[1]):
         out[at + c] = rows.spin[i, c]
@@ -193,9 +189,9 @@ def save_row(d, rows, i, out, out_bits, at):
 
 
 @in_place
-def load_row(d, rows, i, record, bits, at):
+def load_row(d, rows, i, record, at):
     """Restore row i from the record at place `at`; raise its event count, so that queued events with it are void."""
-    segment, state = rows.segment, rows.state
+    segment, state, bits = rows.segment, rows.state, record.view(np.int64)
     for k in range(2 * d + START + 1):
         segment[i, k] = record[at + k]
     at += 2 * d + START + 1
@@ -216,14 +212,14 @@ def save_once(axes, rows, i, log):
         if rows.state[i, OWNERSHIP] != OWN:
             log.border[log.border_count[0]] = count[0]
             log.border_count[0] += 1
-        save_row(np.int64(len(axes)), rows, i, log.saved, log.saved_bits, count[0] * record_width(len(axes), rows.spin.shape[1]))
+        save_row(np.int64(len(axes)), rows, i, log.saved, count[0] * record_width(len(axes), rows.spin.shape[1]))
         count[0] += 1
 
 
 @in_place
 def note_segment(axes, rows, i, log):
     """Row i has begun a new segment: add it to the row's hash, and its speed to the log."""
-    segment, bits, state = rows.segment, rows.segment_bits, rows.state
+    segment, bits, state = rows.segment, rows.segment.view(np.int64), rows.state
     d = len(axes)
     speed2 = 0.0
     h = state[i, TRAJECTORY_HASH] ^ state[i, LAST_PARTNER]
@@ -247,4 +243,5 @@ def note_move(i, log):
 @in_place
 def has_new_segment(d, rows, log, p):
     """Has the row at place p of the log got a new segment in the window, or only a new reference position?"""
-    return log.saved_bits[p * record_width(d, rows.spin.shape[1]) + hash_place(d)] != rows.state[log.changed[p], TRAJECTORY_HASH]
+    before = log.saved.view(np.int64)[p * record_width(d, rows.spin.shape[1]) + hash_place(d)]
+    return before != rows.state[log.changed[p], TRAJECTORY_HASH]
