@@ -100,7 +100,7 @@ class VerletLists:
         require_countable(places, PLACES_IN_LISTS)
         least = LEAST_SKIN * np.finfo(float).eps * float(np.abs(x).max(initial=0.0))
         self.skin = max(self.width, least)
-        reference = aligned(rows, whole_lines(d + 5))
+        reference = aligned(max(rows, 2), whole_lines(d + 5))  # columns of one row are contiguous: another type for the kernels
         skin = reference[:n, d + SKIN] = np.where(w > 0.0, self.skin, 0.0)
         size = reference[:n, d + SIZE] = radius + skin
         reference[:n, d + INVERSE_MASS] = w

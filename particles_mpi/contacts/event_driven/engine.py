@@ -190,7 +190,7 @@ class Engine:
     def last_contacts(self, own_rows: Array, moment: float) -> LastContacts:
         """Those of own rows in the drift that began at `moment` and has ended; particle r in row own_rows[r]."""
         segment, state, d = self.rows.segment, self.rows.state, len(self.axes)
-        reference = self.lists.arrays.reference
+        reference = self.lists.arrays.reference[: len(state)]
         fixed = (reference[:, d + INVERSE_MASS] == 0.0) & (state[:, OWNERSHIP] != NOT_HERE)
         moved = np.flatnonzero((state[own_rows, LAST_PARTNER] != NOBODY) & ~fixed[own_rows])
         rows = own_rows[moved]
