@@ -26,7 +26,7 @@ from particles_mpi.contacts.persistent.rows import Local, gather, hand_over
 from particles_mpi.contacts.persistent.solution import SlowContacts
 from particles_mpi.contacts.persistent.surfaces import Surfaces
 from particles_mpi.contacts.persistent.walls import Walls
-from particles_mpi.contacts.persistent.zone import inside_zone, spread
+from particles_mpi.contacts.persistent.zone import inside_zone, spread, zone_around
 from particles_mpi.contacts.rough import FRICTION
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.parallel.communicator import Communicator
@@ -136,8 +136,7 @@ class PersistentContacts:
 
     def zone(self, p: Particles, wide: Array, involved: Array) -> Array:
         """The box (2, d) around those involved, in which contacts are sought. Collective."""
-        outwards = OUTWARDS[..., None] * p.position[involved] + wide[involved, None]  # (2, m, d): -low and high
-        ends = self.ranks.allreduce_max(np.fmax.reduce(outwards, axis=1, initial=-np.inf))
+        ends = self.ranks.allreduce_max(zone_around(p.position, wide, involved))
         return np.where(self.length > 0.0, self.everywhere, ends * OUTWARDS)
 
     def local(self, p: Particles, a: Array, h: float, graph: ContactGraph) -> Local:

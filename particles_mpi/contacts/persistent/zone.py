@@ -1,5 +1,7 @@
 """The zone: the box in which contacts are sought, around those involved; and crowds, which spread from row to row."""
 
+from math import inf
+
 import numpy as np
 
 from particles_mpi.kernels.geometry import nearest
@@ -22,6 +24,17 @@ def inside_zone(x, wide, zone):
     for i in range(len(x)):
         inside[i] = touches(x, i, wide[i], zone)
     return inside
+
+
+@kernel
+def zone_around(x, wide, rows):
+    """-low and high (2, d) of the box around these rows with their widths; -inf if there are none."""
+    ends = np.full((2, x.shape[1]), -inf)
+    for i in rows:
+        for k in range(x.shape[1]):
+            ends[0, k] = max(ends[0, k], wide[i] - x[i, k])
+            ends[1, k] = max(ends[1, k], wide[i] + x[i, k])
+    return ends
 
 
 @kernel
