@@ -233,10 +233,10 @@ class ManySteps:
         d, persistent = p.dimension, self.persistent
         walls = persistent.walls if persistent else Walls(no_planes(d), NONE, NONE)
         supported = p["supported"] if persistent else np.empty(0, np.uint8)
-        n = len(supported)
+        (point, normal), n = walls.planes, len(supported)
         nobody = np.empty(n, np.int64)
         room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy(), np.empty((n, d))
-        return OnWalls(persistent is not None, (0.0,) * d, supported, walls.planes, walls.faces, *room)
+        return OnWalls(persistent is not None, (0.0,) * d, supported, point, normal, walls.faces, *room)
 
     def losses_of(self, p: Particles, h: float) -> StepLosses:
         """What happens in the kicks of a step of length h besides forces."""

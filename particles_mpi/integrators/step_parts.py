@@ -59,7 +59,8 @@ class OnWalls(NamedTuple):
     kept: bool  # are there any?
     axes: tuple[float, ...]  # a 0.0 for each axis: these kernels begin sums with them
     supported: Array  # (n,) field of the rows
-    planes: tuple[Array, Array]  # points and normals of the walls that take energy
+    point: Array  # of the walls that take energy; with both as a pair a step of few spheres that collide takes 12 % longer
+    normal: Array
     faces: tuple[Array, Array, bool]
     near: Array  # (n,): rows near walls
     pushed: Array  # (n,): rows that contacts push
@@ -109,7 +110,7 @@ def keep_on_walls(axes, bodies, losses, part, space, h, kicked, near):
     """
     on_walls = space.on_walls
     x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, on_walls.supported
-    planes = on_walls.planes
+    planes = on_walls.point, on_walls.normal
     if near >= 0:
         rows = near_walls_among(on_walls.axes, on_walls.near[:near], x, v, a, radius, supported, h, planes)
     else:
