@@ -47,7 +47,7 @@ class Saved(Membership):
         sim = cls.__new__(cls)
         sim.begin(scene, ranks, rows, metadata["next_id"])
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
-        sim.clock_start = tuple(metadata["moment"])
+        sim.clock_start = metadata["moment"][0], metadata["moment"][1]
         sim.observed = {reader: list(since) for reader, since in metadata["observed"].items()}
         if sim.persistent:
             sim.persistent.history.restore(contacts)

@@ -30,9 +30,7 @@ class Lists(NamedTuple):
     pool: Array  # int32: `spans`, with the rows in all lists, and behind it lists that got too long for their blocks
     used: Array  # (1,) places of the pool that are in use
     nearby: Array  # (n + 2,) int32, scratch: rows that `find_nearby` found
-    linked: tuple[
-        Any, ...
-    ]  # a `LinkedCells` on a `VerletGrid`, links in the memory of `reference`; plain tuples: see `jit.plain`
+    linked: tuple[Any, ...]  # a `LinkedCells` on a `VerletGrid`, links in the memory of `reference`, as plain tuples
     box: tuple[Array, ...]  # a `Box`, as a plain tuple
     boxes_per_length: Array  # (d,) boxes in a unit of length on periodic axes, 0 on others
 

@@ -19,14 +19,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from particles_mpi.contacts.warm_start import NOTHING, Memory
+from particles_mpi.contacts.warm_start import NOTHING, Memory, rough_columns
 from particles_mpi.errors import SceneError
 from particles_mpi.output.files import FILE_PATIENCE, failing_together, mpi_io_errors, open_everywhere, sync
 from particles_mpi.output.replacing import replacing, temporary_of
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
 from particles_mpi.parallel.shared_file import SharedFile
-from particles_mpi.particles import FIELDS, Array, row_bytes, rows_of
+from particles_mpi.particles import FIELDS, Array, row_bytes, rows_of, shape
 
 MARK, FORMAT = "particles_mpi_checkpoint", 6
 TAIL = f"\n{MARK} {{:20d}} {{:20d}} {{:08x}}\n"  # the last line: lengths of the HDF5 file and of the seal, CRC-32 of the seal
@@ -171,6 +171,7 @@ class Checkpoint:
                     for name in file[group]
                 }
             self.number_of_contacts = int(self.shapes["contacts/id"][0][0])
+            self._check_shapes()
         except FileNotFoundError:
             raise SceneError(f"{path}: no such checkpoint") from None
         except (OSError, RuntimeError, KeyError, AttributeError) as error:
@@ -202,6 +203,18 @@ class Checkpoint:
             if self.path.stat().st_ino != self.inode:
                 return SceneError(f"{self.path}: replaced by its run while it was read: start again")
         return SceneError(f"{self.path}: damaged: it is not what was written (CRC-32)")
+
+    def _check_shapes(self) -> None:
+        """Every field has a row for each particle: checksums do not tell whether all who wrote them agreed on that."""
+        rough = rough_columns(self.dimension)
+        for place, (found, dtype) in self.shapes.items():
+            group, name = place.split("/")
+            is_field = group == "particles" and name in FIELDS
+            across = found[1:] if name == "taken" else ()  # of rough contacts: see `rough_columns`
+            wrong = found[:1] != (self.total,) if group == "particles" else across not in ((), rough)
+            wrong |= group == "contacts" and found != (self.number_of_contacts, *across)
+            if wrong or (is_field and (found != shape(name, self.total, self.dimension) or dtype != FIELDS[name].dtype)):
+                raise SceneError(f"{self.path}: {place} is not a field of {self.total} particles in dimension {self.dimension}")
 
     def rows(self, first: int, last: int) -> dict[str, Array]:
         """The fields of the particles first ... last - 1, in id order."""

@@ -105,4 +105,6 @@ def fields_of(scene: Scene) -> list[str]:
     }
     needed = {*ALWAYS, *(name for name, condition in conditions.items() if condition)}
     needed |= {name for effect in effects.all.values() for name in effect.needs.columns}
+    if needed & {"spin", "moment_of_inertia", "orientation"}:  # no one of them is anything without the first two
+        needed |= {"spin", "moment_of_inertia"}
     return [name for name in BUILT_IN if name in needed] + sorted(needed & FIELDS.keys() - set(BUILT_IN))

@@ -80,7 +80,7 @@ class EventDriven:
         self.hold = hold
         self.noting = effects.finishes_bounces
         self.last: LastContacts | None = None
-        self.parts: list[Whole | Partition] = []  # what has been needed so far| Windows] = []  # what has been needed so far
+        self.parts: list[Whole | Partition] = []  # what has been needed so far
 
     @cached_property
     def whole(self) -> Whole:

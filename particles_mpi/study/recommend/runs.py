@@ -194,8 +194,8 @@ def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.i
     up = -sim.g / size if size > 0.0 else sim.g  # heights are those of the centre of all particles
     sums, kinetic = np.array(energies).T
     rates = (total_count(sim, name) / (steps * sim.h) for name in ("collisions", "wall_hits"))
-    means = float(kinetic[1:].mean()), float((found.mean(axis=1) * up).sum(axis=1).mean())
-    observables = dict(zip(STATISTICS, (*rates, *means), strict=True))
+    height = float((found.mean(axis=1) * up).sum(axis=1).mean()) if start.total else 0.0
+    observables = dict(zip(STATISTICS, (*rates, float(kinetic[1:].mean()), height), strict=True))
     motion = sqrt(float(np.mean(spreads))) or 1.0
     cost = sim.ranks.largest(perf_counter() - began)[0], counted_seconds(sim)
     return Record(found, np.array(at_snapshots), sums, kinetic, observables, motion, *cost)

@@ -77,6 +77,29 @@ def test_a_changed_bit_is_noticed_by_those_who_read_it(written):
             Checkpoint(path).rows(0, N)
 
 
+SHAPES = {  # what is wrong in a file whose checksums are right
+    "a row is missing": lambda c: c | {"particles/mass": c["particles/mass"][:-1]},
+    "floats of 4 bytes": lambda c: c | {"particles/position": c["particles/position"].astype(np.float32)},
+    "too wide": lambda c: c | {"particles/position": np.tile(c["particles/position"], 2)},
+    "a field of a user's is too short": lambda c: c | {"particles/mine": np.zeros(N - 1)},
+    "a contact is missing": lambda c: c | {"contacts/taken": c["contacts/taken"][:-1]},
+    "contacts are too wide": lambda c: c | {"contacts/taken": np.zeros((M, 7))},
+}
+
+
+@pytest.mark.parametrize("wrong", SHAPES)
+def test_a_column_of_another_shape_is_not_taken_for_a_state(written, wrong):
+    path, arrays, taken = written
+    columns = {f"particles/{name}": column for name, column in arrays.items()}
+    columns |= {f"contacts/{name}": column for name, column in taken._asdict().items()}
+    facts = {checkpoint.MARK: checkpoint.FORMAT, "total": N, "dimension": 2}
+    checkpoint._write(path, Communicator.alone(), columns, facts)
+    assert same(Checkpoint(path).rows(0, N), arrays)
+    checkpoint._write(path, Communicator.alone(), SHAPES[wrong](columns), facts)
+    with pytest.raises(SceneError, match="is not a field of 95 particles in dimension 2"):
+        Checkpoint(path)
+
+
 def test_a_write_that_fails_leaves_the_old_one(written, monkeypatch):
     path, arrays, _ = written
     before = path.read_bytes()

@@ -83,6 +83,20 @@ def test_names_of_the_effect_of_its_own_are_free(tmp_path, kind, body):
     sim(write(tmp_path, body, kind)).step()
 
 
+@pytest.mark.parametrize("name", ["spin", "moment_of_inertia", "orientation"])
+@pytest.mark.parametrize("mode", ["rewind", "event"])
+def test_an_effect_may_turn_smooth_spheres(tmp_path, name, mode):
+    """Nothing else does; a moment of inertia is that of a disc, unless it is given."""
+    head = "from particles_mpi.particles import FIELDS"
+    file = write(tmp_path, f"needs = Needs(columns={{'{name}': FIELDS['{name}']}})\ndef add(s, p, a): a -= 1.0", head=head)
+    some = {"position": [[1.0, 0.0], [0.0, 2.0]], "radius": 0.1, "mass": 3.0}
+    given = {"spin": 2.0} if name == "spin" else {}
+    one = sim(file, effects={"collisions": {"mode": mode}}, particles=[some | given])
+    one.steps(3)
+    assert one.rows["spin"].tolist() == [[2.0 * (name == "spin")]] * 2
+    assert one.rows["moment_of_inertia"] == pytest.approx(np.full(2, 0.5 * 3.0 * 0.1**2), rel=1e-15)
+
+
 def test_a_default_may_be_nan(tmp_path):
     body = "needs = Needs(columns={'not_set': Column(default=float('nan'))})\ndef add(s, p, a): pass"
     assert np.isnan(sim(write(tmp_path, body)).particles.not_set).all()
