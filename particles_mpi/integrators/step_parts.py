@@ -59,7 +59,7 @@ class OnWalls(NamedTuple):
     kept: bool  # are there any?
     axes: tuple[float, ...]  # a 0.0 for each axis: these kernels begin sums with them
     supported: Array  # (n,) field of the rows
-    point: Array  # of the walls that take energy; with both as a pair a step of few spheres that collide takes 12 % longer
+    point: Array  # of the walls that take energy
     normal: Array
     faces: tuple[Array, Array, bool]
     near: Array  # (n,): rows near walls
