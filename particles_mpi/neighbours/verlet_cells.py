@@ -18,7 +18,7 @@ from particles_mpi.particles import Array
 
 LEVELS, FACTOR = 5, 3.0  # each level of cells is for sizes up to FACTOR times those of the one before
 WIDTH = 1.4  # of a cell, in sizes of the largest row in it
-LINKS = 6  # of a row of `Lists.reference` as int32, after 2 d: its links begin there, behind the float64 numbers
+NEXT_ROW, PREVIOUS_ROW, CELL = 6, 7, 8  # columns of `Lists.links`, after 2 d: behind the float64 numbers there
 NO_CELL = -1  # in place of a cell
 MARGIN = 1.0 + 1e-9  # on distances between reference positions, far above round-off
 
@@ -69,7 +69,7 @@ def make_grid(x: Array, size: Array, box: Box, share: float) -> tuple[VerletGrid
 @inner
 def level_of(size, lists):
     """The level for one row more, of this size; the widest one may have to hold wider rows than it was made for."""
-    _, _, _, _, (_, _, _, _, largest) = lists.linked
+    _, _, _, _, largest = lists.grid
     widest = 0
     for step in range(len(largest)):
         if largest[step] >= size:
@@ -94,14 +94,12 @@ def cells_along(y, reach, low, per_length, cells, periodic):
 
 
 @in_place
-def rows_in_cells(axes, lists, place, i, size):
-    """Write the rows in all cells in which rows no further than `size` + R + skin from place[i] can be to `lists.nearby`.
-
-    Returns how many. The first of each cell come first, then the next ones: without a branch the memory answers many at once.
-    """
-    reference, nearby = lists.reference, lists.nearby
+def first_in_cells(axes, lists, place, i, size):
+    """Write the first row of each cell in which rows no further than `size` + R + skin from place[i] can be to `lists.nearby`;
+    returns how many."""
+    reference, head, nearby = lists.reference, lists.head, lists.nearby
     _, _, length = lists.box
-    head, following, _, _, (low, per_length, cells, first, largest) = lists.linked
+    low, per_length, cells, first, largest = lists.grid
     d = len(axes)
     waiting = 0
     f0 = f1 = f2 = 0
@@ -126,13 +124,6 @@ def rows_in_cells(axes, lists, place, i, size):
                     prefetch(reference, j)  # for -1 it asks in vain
                     nearby[np.uint64(waiting)] = j
                     waiting += j >= 0
-    p = 0
-    while p < waiting:
-        after = following[np.uint64(nearby[np.uint64(p)])]
-        p += 1
-        prefetch(reference, after)
-        nearby[np.uint64(waiting)] = after
-        waiting += after >= 0
     return waiting
 
 
@@ -140,7 +131,7 @@ def rows_in_cells(axes, lists, place, i, size):
 def cell_of(axes, lists, i):
     """The cell of row i."""
     reference = lists.reference
-    _, _, _, _, (low, per_length, cells, first, _) = lists.linked
+    low, per_length, cells, first, _ = lists.grid
     _, _, length = lists.box
     step = lists.level[i]
     c = np.int64(0)
@@ -152,7 +143,30 @@ def cell_of(axes, lists, i):
     return first[step] + c
 
 
-def links_in(reference: Array, d: int) -> tuple[Array, Array, Array]:
-    """(after, before, cell_of) (n,) int32, as in `LinkedCells`, in the memory of `Lists.reference`: read together with it."""
-    after, before, cell = reference.view(np.int32)[:, 2 * d + LINKS : 2 * d + LINKS + 3].T
-    return after, before, cell
+@lean_inner
+def link(axes, lists, i, cell):
+    """Put row i into a cell."""
+    links, head = lists.links, lists.head
+    d = len(axes)
+    j = np.int64(head[cell])
+    links[i, 2 * d + NEXT_ROW], links[i, 2 * d + PREVIOUS_ROW], links[i, 2 * d + CELL] = j, -1, cell
+    if j >= 0:
+        links[j, 2 * d + PREVIOUS_ROW] = i
+    head[cell] = i
+
+
+@lean_inner
+def unlink(axes, lists, i):
+    """Take row i out of its cell, if it is in one."""
+    links = lists.links
+    d = len(axes)
+    after, before, cell = np.int64(links[i, 2 * d + NEXT_ROW]), np.int64(links[i, 2 * d + PREVIOUS_ROW]), links[i, 2 * d + CELL]
+    if cell == NO_CELL:
+        return
+    if before >= 0:
+        links[before, 2 * d + NEXT_ROW] = after
+    else:
+        lists.head[cell] = after
+    if after >= 0:
+        links[after, 2 * d + PREVIOUS_ROW] = before
+    links[i, 2 * d + CELL] = NO_CELL

@@ -12,8 +12,7 @@ import numpy as np
 from particles_mpi.kernels.geometry import some_nearest
 from particles_mpi.kernels.jit import in_place, lean, lean_inner, prefetch, screening
 from particles_mpi.kernels.lanes import LANE_COUNT, columns_of, eight
-from particles_mpi.neighbours.cells import link, unlink
-from particles_mpi.neighbours.verlet_cells import MARGIN, NO_CELL, cell_of, rows_in_cells
+from particles_mpi.neighbours.verlet_cells import CELL, MARGIN, NEXT_ROW, cell_of, first_in_cells, link, unlink
 from particles_mpi.particles import Array
 
 BLOCK_NUMBERS = 32  # of a row in the pool, two lines of the cache: its span and places for a list; longer ones stand behind
@@ -25,12 +24,14 @@ class Lists(NamedTuple):
     """The lists of n rows, as the kernels take them. What is needed of a neighbour together stands in one row of `reference`."""
 
     reference: Array  # (n, width): reference position (d), then SIZE = R + skin, SKIN, INVERSE_MASS
+    links: Array  # (n, 2 width) int32, the same memory: NEXT_ROW and PREVIOUS_ROW in the same cell (-1: none), and CELL
     level: Array  # (n,) int8, of each row in the grid
     spans: Array  # (n, BLOCK_NUMBERS) int32: where the list of a row begins in the pool, how many it holds and has room for
     pool: Array  # int32: `spans`, with the rows in all lists, and behind it lists that got too long for their blocks
     used: Array  # (1,) places of the pool that are in use
+    head: Array  # (cells,) int32, first row in each cell, or -1
     nearby: Array  # (n + 2,) int32, scratch: rows that `find_nearby` found
-    linked: tuple[Any, ...]  # a `LinkedCells` on a `VerletGrid`, links in the memory of `reference`, as plain tuples
+    grid: tuple[Array, ...]  # a `VerletGrid`, as a plain tuple: see `jit.plain`
     box: tuple[Array, ...]  # a `Box`, as a plain tuple
     boxes_per_length: Array  # (d,) boxes in a unit of length on periodic axes, 0 on others
 
@@ -59,8 +60,17 @@ def may_meet(axes, lists, i, others):
 @in_place
 def find_nearby(axes, lists, i):
     """Write the rows that `may_meet` row i to `lists.nearby`; returns how many."""
-    reference, nearby = lists.reference, lists.nearby
-    waiting = rows_in_cells(axes, lists, reference, i, reference[i, len(axes) + SIZE])
+    reference, links, nearby = lists.reference, lists.links, lists.nearby
+    d = len(axes)
+    waiting = first_in_cells(axes, lists, reference, i, reference[i, d + SIZE])
+    # The next one in the cell of each is put behind: without a branch the memory answers many at once.
+    p = 0
+    while p < waiting:
+        after = links[np.uint64(nearby[np.uint64(p)]), 2 * d + NEXT_ROW]
+        p += 1
+        prefetch(reference, after)
+        nearby[np.uint64(waiting)] = after
+        waiting += after >= 0
     found = 0
     for first in range(0, waiting, LANE_COUNT):
         meet = may_meet(axes, lists, np.uint64(i), columns_of_reference(axes, reference, nearby, first, waiting - 1))
@@ -150,34 +160,18 @@ def relist(axes, lists, i, kept, new):
         j = np.int64(lists.nearby[p])
         add_to_list(pool, spans, lists.used, i, j)
         add_to_list(pool, spans, lists.used, j, i)
-    cell, (_, _, _, cells, _) = cell_of(axes, lists, i), lists.linked
-    if cells[i] != cell:
-        if cells[i] != NO_CELL:
-            unlink(i, lists.linked)
-        link(i, cell, lists.linked)
-
-
-@in_place
-def list_anew(axes, lists, i):
-    """Row i, at a new reference position, gets a new list, and stands in the lists of those in it and in no others.
-
-    Returns how many places the pool may lack; above 0 no list has changed: then `enlarge` it and call again.
-    """
-    found = find_nearby(axes, lists, i)
-    kept, new = compare(lists, i, found)
-    short = shortage(lists, i, kept, new)
-    if short <= 0:
-        relist(axes, lists, i, kept, new)
-    return short
+    cell = cell_of(axes, lists, i)
+    d = len(axes)
+    if lists.links[i, 2 * d + CELL] != cell:
+        unlink(axes, lists, i)
+        link(axes, lists, i, cell)
 
 
 @lean_inner
 def remove(axes, lists, i):
     """Take row i out of its cell and of all lists."""
     relist(axes, lists, i, np.int64(0), np.int64(0))
-    _, _, _, cells, _ = lists.linked
-    unlink(i, lists.linked)
-    cells[i] = NO_CELL
+    unlink(axes, lists, i)
 
 
 @lean
@@ -191,7 +185,10 @@ def list_rows(axes, lists, x, row):
     for i in range(row, len(x)):
         for k in range(len(axes)):
             lists.reference[i, k] = x[i, k]
-        short = list_anew(axes, lists, i)
+        found = find_nearby(axes, lists, i)
+        kept, new = compare(lists, i, found)
+        short = shortage(lists, i, kept, new)
         if short > 0:
             return i, short
+        relist(axes, lists, i, kept, new)
     return len(x), 0

@@ -7,7 +7,7 @@ from particles_mpi.kernels.geometry import Box, boxes_per_length
 from particles_mpi.kernels.limits import require_countable
 from particles_mpi.kernels.memory import aligned, doubled, enlarged, whole_lines
 from particles_mpi.neighbours.cells import spacing, too_narrow
-from particles_mpi.neighbours.verlet_cells import NO_CELL, links_in, make_grid
+from particles_mpi.neighbours.verlet_cells import CELL, NO_CELL, make_grid
 from particles_mpi.neighbours.verlet_kernels import (
     BEGIN,
     BLOCK_NUMBERS,
@@ -100,20 +100,21 @@ class VerletLists:
         require_countable(places, PLACES_IN_LISTS)
         least = LEAST_SKIN * np.finfo(float).eps * float(np.abs(x).max(initial=0.0))
         self.skin = max(self.width, least)
-        reference = aligned(max(rows, 2), whole_lines(d + 5))  # columns of one row are contiguous: another type for the kernels
+        reference = aligned(rows, whole_lines(d + 5))
         skin = reference[:n, d + SKIN] = np.where(w > 0.0, self.skin, 0.0)
         size = reference[:n, d + SIZE] = radius + skin
         reference[:n, d + INVERSE_MASS] = w
-        links = links_in(reference, d)
-        links[2][:] = NO_CELL
+        links = reference.view(np.int32)
+        links[:, 2 * d + CELL] = NO_CELL
         level = np.zeros(rows, np.int8)
         grid, level[:n] = make_grid(x, size, self.box, self.share)
         pool = new_pool(places)
         spans = spans_in(pool, rows)
         set_empty(spans, 0)
         self.arrays = Lists(
-            reference, level, spans, pool, np.array([rows * BLOCK_NUMBERS]), np.empty(rows + 2, np.int32),
-            (np.full(grid.first[-1], -1, np.int32), *links, tuple(grid)), tuple(self.box), boxes_per_length(self.box.length),
+            reference, links, level, spans, pool, np.array([rows * BLOCK_NUMBERS]), np.full(grid.first[-1], -1, np.int32),
+            np.empty(rows + 2, np.int32), tuple(grid), tuple(self.box),
+            boxes_per_length(self.box.length),
         )  # fmt: skip
         row = 0
         while row < n:
@@ -141,9 +142,8 @@ class VerletLists:
         set_empty(spans, rows)
         old.used[0] += blocks
         more = doubled(old, "reference", "level", "nearby")
-        links = links_in(more.reference, len(self.box.length))
-        links[2][rows:] = NO_CELL
-        self.arrays = more._replace(linked=(old.linked[0], *links, old.linked[-1]), spans=spans, pool=pool)
+        self.arrays = more._replace(links=more.reference.view(np.int32), spans=spans, pool=pool)
+        self.arrays.links[rows:, 2 * len(self.box.length) + CELL] = NO_CELL
 
 
 def new_pool(size: int) -> Array:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from particles_mpi.contacts.event_driven.messages import message_of
 from particles_mpi.contacts.event_driven.operator import EventDriven
 from particles_mpi.initial.populate import populate
 from particles_mpi.initial.random_addition import FEW_LEFT
@@ -145,7 +146,7 @@ def windows(d: int, ranks: Communicator) -> None:
     part.send_motion()
     part.changes_for(0, part.plan_moves())
     divided.undo(divided.engine.work.counts)
-    nothing = np.array([NO_PART, 0]).view(float)
+    nothing = message_of(np.array([NO_PART, 0]).view(float))
     divided.accept(nothing, np.empty((0, 2), np.int64), part.plan_moves())
 
 

@@ -13,8 +13,10 @@ from particles_mpi.contacts.event_driven.messages import (
     TRANSFER,
     UPDATE,
     Directory,
+    add_holder,
     extra_width,
     load_extra,
+    ownership,
     part_width,
 )
 from particles_mpi.contacts.event_driven.regions import Moves, Regions, can_affect_owned, mark_holders
@@ -23,7 +25,6 @@ from particles_mpi.contacts.event_driven.rows import (
     GHOST,
     ID,
     NOT_HERE,
-    OWN,
     OWNERSHIP,
     SHARED,
     TRAJECTORY_HASH,
@@ -34,20 +35,31 @@ from particles_mpi.contacts.event_driven.rows import (
     hash_place,
     load_row,
     record_width,
+    spin_width,
 )
 from particles_mpi.kernels.jit import inner, kernel, lean, lean_inner, prefetch
 from particles_mpi.kernels.markers import RADIUS
 from particles_mpi.neighbours.verlet_cells import level_of
-from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS, SIZE, SKIN, Lists, list_anew, remove
+from particles_mpi.neighbours.verlet_kernels import (
+    INVERSE_MASS,
+    SIZE,
+    SKIN,
+    Lists,
+    compare,
+    find_nearby,
+    relist,
+    remove,
+    shortage,
+)
 
 
 @lean
 def roll_back(rows, log, stale):
     """All rows as before the window; returns how many (written to `stale`) must find their next events again."""
     rows, log = Rows(*rows), Log(*log)
-    d, record = dimension(rows), record_width(dimension(rows), rows.spin.shape[1])
+    d, record = dimension(rows), record_width(dimension(rows), spin_width(rows))
     for p in range(log.changed_count[0]):
-        load_row(d, rows, np.int64(log.changed[p]), log.saved, p * record)
+        load_row(d, rows, np.int64(log.changed[p]), log.saved, log.saved_bits, p * record)
         stale[p] = log.changed[p]
     return log.changed_count[0]
 
@@ -58,19 +70,19 @@ def verify(rows, lists, directory, log, regions, begin, message):
 
     It must if such a ghost could have touched an own row. `message`: all that arrived; a ghost of which no UPDATE tells did not
     change at its owner. Of the ghosts that differ (m, 2): the row, and the place of its right record in the message; or, if that
-    is in `log.saved`, len(message) plus its place there.
+    is in `log.saved`, len(numbers) plus its place there.
     """
     rows, lists, directory, log, regions = Rows(*rows), Lists(*lists), Directory(*directory), Log(*log), Regions(*regions)
-    bits = message.view(np.int64)
+    numbers, bits = message
     state, table, updated = rows.state, directory.table, directory.updated
     d, extra, window = regions.low.shape[1], extra_width(rows), log.window[0]
-    record = record_width(d, rows.spin.shape[1])
-    differing, found = np.empty((len(message) // (HEAD + record) + log.border_count[0], 2), np.int64), 0
+    record = record_width(d, spin_width(rows))
+    differing, found = np.empty((len(numbers) // (HEAD + record) + log.border_count[0], 2), np.int64), 0
     place = np.empty((2, d))
     wrong = False
     for step in range(2):  # first to the cache
         at = 0
-        while at < len(message):
+        while at < len(numbers):
             if bits[at] == UPDATE:
                 if step == 0:
                     prefetch(table, home(table, bits[at + 1]))
@@ -80,7 +92,7 @@ def verify(rows, lists, directory, log, regions, begin, message):
                     prefetch(updated, i)
             at += part_width(bits[at], d, record, extra)
     at = 0
-    while at < len(message):
+    while at < len(numbers):
         if bits[at] == UPDATE:
             i = row_of(table, bits[at + 1])
             updated[i] = window
@@ -93,7 +105,7 @@ def verify(rows, lists, directory, log, regions, begin, message):
         i = np.int64(log.changed[p])
         if state[i, OWNERSHIP] == GHOST and updated[i] != window and has_new_segment(d, rows, log, p):
             wrong = wrong or can_affect_owned(rows, lists, log, regions, i, begin, place)
-            differing[found, 0], differing[found, 1] = i, len(message) + p * record
+            differing[found, 0], differing[found, 1] = i, len(numbers) + p * record
             found += 1
     return wrong, differing[:found]
 
@@ -105,23 +117,22 @@ def reconcile(rows, directory, log, message, differing, moves, regions, stale):
     Returns how many rows, written to `stale`, must find their next events again.
     """
     rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
+    numbers, bits = message
     rank, here = Regions(*regions).rank, len(Regions(*regions).known) - 1
-    d, state, holders = dimension(rows), rows.state, directory.holders
+    d, state, masks = dimension(rows), rows.state, directory.holders.shape[1]
     for p in range(len(differing)):
         i, at = differing[p, 0], differing[p, 1]
-        if at < len(message):
-            load_row(d, rows, i, message, at)
+        if at < len(numbers):
+            load_row(d, rows, i, numbers, bits, at)
         else:
-            load_row(d, rows, i, log.saved, at - len(message))
+            load_row(d, rows, i, log.saved, log.saved_bits, at - len(numbers))
         stale[p] = i
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])
         log.is_moved[i] = False
-        known_to_others = False
-        for k in range(here + 1):
-            holders[i, k] = moves.holders[m, k]
-            known_to_others |= holders[i, k] and k != here
-        state[i, OWNERSHIP] = GHOST if moves.owner[m] != rank else (SHARED if known_to_others else OWN)
+        for b in range(masks):
+            directory.holders[i, b] = moves.holders[m, b]
+        state[i, OWNERSHIP] = ownership(directory.holders, i, here) if moves.owner[m] == rank else GHOST
     log.moved_count[0] = 0
     return len(differing)
 
@@ -130,9 +141,9 @@ def reconcile(rows, directory, log, message, differing, moves, regions, stale):
 def list_at(axes, rows, lists, directory, message, at, record, skin):
     """The row of an ADD_GHOST, which is new here, or of a TRANSFER, listed anew at its reference position.
 
-    Returns (row, 0), or as `apply_moves` what it is short of: then it is not listed yet, and to be called again.
+    Returns (row, 0), or as `apply_moves` what it is short of, and then nothing has changed.
     """
-    bits = message.view(np.int64)
+    numbers, bits = message
     d, reference, segment = len(axes), lists.reference, rows.segment
     particle, new = bits[at + 1], bits[at] == ADD_GHOST
     if new:
@@ -140,39 +151,47 @@ def list_at(axes, rows, lists, directory, message, at, record, skin):
             return -1, -1
         i = np.int64(directory.free[directory.free_count[0] - 1])
         size = at + HEAD + record  # where R and 1/m are, and behind them the reference position
-        segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS] = message[size], message[size + 1]
-        reference[i, d + SKIN] = skin if reference[i, d + INVERSE_MASS] > 0.0 else 0.0
-        reference[i, d + SIZE] = segment[i, 2 * d + RADIUS] + reference[i, d + SKIN]
-        lists.level[i] = level_of(reference[i, d + SIZE], lists)
+        segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS] = numbers[size], numbers[size + 1]
         place = size + 2
     else:
         i = row_of(directory.table, particle)
         place = at + HEAD + 3
+    before = reference[i].copy()
     for k in range(d):
-        reference[i, k] = message[place + k]
-    short = list_anew(axes, lists, i)
+        reference[i, k] = numbers[place + k]
+    if new:
+        reference[i, d + SKIN] = skin if reference[i, d + INVERSE_MASS] > 0.0 else 0.0
+        reference[i, d + SIZE] = segment[i, 2 * d + RADIUS] + reference[i, d + SKIN]
+    found = find_nearby(axes, lists, i)
+    kept, others = compare(lists, i, found)
+    short = shortage(lists, i, kept, others)
     if short > 0:
+        for k in range(d + INVERSE_MASS + 1):
+            reference[i, k] = before[k]
         return i, short
     if new:
         directory.free_count[0] -= 1
         put(directory.table, particle, i)
         rows.state[i, ID], rows.state[i, OWNERSHIP] = particle, GHOST
-        load_row(d, rows, i, message, at + HEAD)
-        load_extra(rows, i, message, place + d)
+        load_row(d, rows, i, numbers, bits, at + HEAD)
+        load_extra(d, rows, i, numbers, place + d)
+        lists.level[i] = level_of(reference[i, d + SIZE], lists)
+    relist(axes, lists, i, kept, others)
     return i, 0
 
 
 @inner
 def take_over(rows, lists, directory, regions, message, at, i):
     """Row i is an own one from now on, as the TRANSFER at this place says; who holds it is found as the sender did."""
-    bits = message.view(np.int64)
+    _, bits = message
     holders, known, at_row = directory.holders, Regions(*regions).known, np.full(1, i, np.int32)
     holder, place, before = bits[at + HEAD], bits[at + HEAD + 1], bits[at + HEAD + 2]
     directory.fields_at[i, HOLDER], directory.fields_at[i, PLACE] = holder, place
     mark_holders(lists.reference, at_row, regions, holders[i : i + 1])
     for k in range(len(known)):
-        if known[k] == before or k == len(known) - 1:
-            holders[i, k] = True
+        if known[k] == before:
+            add_holder(holders, i, k)
+    add_holder(holders, i, len(known) - 1)
     rows.state[i, OWNERSHIP] = SHARED  # the rank that had it holds it, at least
 
 
@@ -198,9 +217,9 @@ def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin,
     again from there.
     """
     rows, lists, queue, directory = Rows(*rows), Lists(*lists), Queue(*queue), Directory(*directory)
-    bits = message.view(np.int64)
-    extra, record = extra_width(rows), record_width(len(axes), rows.spin.shape[1])
-    while at < len(message):
+    numbers, bits = message
+    extra, record = extra_width(rows), record_width(len(axes), spin_width(rows))
+    while at < len(numbers):
         kind, particle = bits[at], bits[at + 1]
         if kind == DROP_GHOST:
             drop_ghost(axes, rows, lists, queue, directory, particle)

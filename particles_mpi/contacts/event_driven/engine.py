@@ -92,29 +92,32 @@ class Engine:
         n, d = p.position.shape
         total = n + spare
         segment, state = aligned(total, 2 * d + 2), aligned(total, 8).view(np.int64)
-        names = [name for name in ("total_acceleration", "spin", "drag") if name in p.arrays]
+        reals = state.view(np.float64)
+        names = [name for name in ("total_acceleration", "drag") if name in p.arrays]
         fields = {name: enlarged(p[name], np.zeros((total, *p[name].shape[1:]))) for name in names}
-        acceleration, spin = (fields.get(name, np.empty((total, 0))) for name in ("total_acceleration", "spin"))
-        drag, inverse_inertia = fields.get("drag", np.empty(0)), enlarged(p.inverse_inertia, np.zeros(total * ("spin" in fields)))
-        self.rows = Rows(segment, state, acceleration, drag, spin, inverse_inertia)
+        acceleration, drag = fields.get("total_acceleration", np.empty((0, d))), fields.get("drag", np.empty(0))
+        spin = enlarged(p["spin"], np.zeros((total, p["spin"].shape[1]))) if "spin" in p.arrays else NO_SPIN
+        inverse_inertia = enlarged(p.inverse_inertia, np.zeros(total * (len(spin) > 0)))
+        self.rows = Rows(segment, segment.view(np.int64), state, reals, acceleration, drag, spin, inverse_inertia)
         segment[:n, :d], segment[:n, 2 * d + RADIUS] = p.position, p.radius
         state[:] = 0
         state[:n, ID], state[:n, OWNERSHIP] = p.id, GHOST
         state[:owned, OWNERSHIP] = OWN
-        reals = state.view(np.float64)
         reals[:n, LAST_CONTACT] = times_of_contact(p)
         if "virial" in p.arrays:
             reals[:n, VIRIAL] = p.virial
         self.node = np.full((total, NODE), NO_EVENT, np.int32)
         self.work = self.work._replace(stale=np.empty(2 * total + 2, np.int32))
-        self.log = new_log(total, d, spin.shape[1])
+        self.log = new_log(total, d, spin.shape[1] if len(spin) else 0)
         self.expiries = 0
 
     def grow(self) -> Array:
         """Twice as many rows; returns the new ones, which are free."""
         n = len(self.rows.state)
-        self.rows = doubled(self.rows, "segment", "state", "acceleration", "drag", "spin", "inverse_inertia")
-        self.log = doubled(self.log, "changed", "mark", "saved", "moved", "is_moved", "border")
+        rows = doubled(self.rows, "segment", "state", "acceleration", "drag", "spin", "inverse_inertia")
+        self.rows = rows._replace(segment_bits=rows.segment.view(np.int64), reals=rows.state.view(np.float64))
+        log = doubled(self.log, "changed", "mark", "saved", "moved", "is_moved", "border")
+        self.log = log._replace(saved_bits=log.saved.view(np.int64))
         self.node = np.concatenate((self.node, np.full_like(self.node, NO_EVENT)))
         self.queue = self.queue._replace(node=self.node, times=self.node.view(np.float64))
         self.work = doubled(self.work, "stale")
@@ -149,9 +152,9 @@ class Engine:
         queue, work = self.queue, self.work
         queue.present[:] = min(int(now * queue.per_time), len(queue.first) - 1), 0  # nothing is left from before
         a, drag = self.rows.acceleration, self.rows.drag
-        rates = self.rates.of({"drag": drag, "total_acceleration": a} if a.shape[1] else {"drag": drag})
-        rules = self.loss, self.law, tuple(self.collapse), self.crowd_from, self.planes, rates, self.h, moment
-        interval = now, until, self.ahead
+        rates = self.rates.of({"drag": drag, "total_acceleration": a} if len(a) else {"drag": drag})
+        rules = self.loss, self.law, tuple(self.collapse), self.crowd_from, self.planes, rates
+        interval = (self.h, moment), now, until, self.ahead
         rows, written, log = tuple(self.rows), tuple(work), tuple(self.log)
         work.progress[:] = now, 0.0
         pending, self.pending = self.pending, 0
@@ -189,13 +192,13 @@ class Engine:
 
     def last_contacts(self, own_rows: Array, moment: float) -> LastContacts:
         """Those of own rows in the drift that began at `moment` and has ended; particle r in row own_rows[r]."""
-        segment, state, d = self.rows.segment, self.rows.state, len(self.axes)
-        reference = self.lists.arrays.reference[: len(state)]
+        (segment, _, state, reals), d = self.rows[:4], len(self.axes)
+        reference = self.lists.arrays.reference
         fixed = (reference[:, d + INVERSE_MASS] == 0.0) & (state[:, OWNERSHIP] != NOT_HERE)
         moved = np.flatnonzero((state[own_rows, LAST_PARTNER] != NOBODY) & ~fixed[own_rows])
         rows = own_rows[moved]
         known = {"id": state[fixed, ID], "place": segment[fixed, :d], "radius": segment[fixed, 2 * d + RADIUS]}
-        return LastContacts(moved, state[rows, LAST_PARTNER], state.view(np.float64)[rows, LAST_CONTACT] - moment, known)
+        return LastContacts(moved, state[rows, LAST_PARTNER], reals[rows, LAST_CONTACT] - moment, known)
 
     def write_back(self, p: Particles, own_rows: Array) -> None:
         """Particle r of p as row own_rows[r] is."""

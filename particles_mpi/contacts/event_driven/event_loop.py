@@ -46,7 +46,7 @@ from particles_mpi.contacts.walls import bounce, meet_wall
 from particles_mpi.kernels.jit import in_place, lean, lean_inner
 from particles_mpi.kernels.markers import RADIUS, START
 from particles_mpi.kernels.planes import Planes
-from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS, SKIN, Lists, list_anew
+from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS, SKIN, Lists, compare, find_nearby, relist, shortage
 from particles_mpi.particles import Array
 
 COLLISIONS, WALL_HITS, TC_ELASTIC, EXPIRIES = range(4)  # what `counts` counts
@@ -84,8 +84,13 @@ class Rules(NamedTuple):
     crowd_from: int  # quick contacts that make a crowd
     planes: Planes
     rates: Rates
-    length: float  # of the drift
-    moment: float  # at which it began; times of events count from there
+
+
+class Clock(NamedTuple):
+    """What is known of the time: `length` of the drift, and the `moment` at which it began; events count from that moment."""
+
+    length: float
+    moment: float
 
 
 @lean_inner
@@ -110,9 +115,12 @@ def renew_list(axes, rows, lists, work, log, i, now, ahead):
     lead = ahead * reference[i, d + SKIN] / sqrt(speed2) if speed2 > 0.0 else 0.0
     for k in range(d):
         reference[i, k] = segment[i, k] + segment[i, d + k] * (now - segment[i, 2 * d + START] + lead)
-    short = list_anew(axes, lists, i)
+    found = find_nearby(axes, lists, i)
+    kept, new = compare(lists, i, found)
+    short = shortage(lists, i, kept, new)
     if short > 0:
         return short
+    relist(axes, lists, i, kept, new)
     work.counts[EXPIRIES] += 1
     if log.window[0] > 0 and rows.state[i, OWNERSHIP] >= OWN:
         note_move(i, log)
@@ -120,12 +128,12 @@ def renew_list(axes, rows, lists, work, log, i, now, ahead):
 
 
 @in_place
-def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t):
+def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t, clock):
     """Row i hits a wall at time t."""
     segment, state, planes, d = rows.segment, rows.state, rules.planes, len(axes)
     lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
-    elastic = lossy and takes_nothing(d, rows, i, t, rules)
-    note_contact(axes, rows, i, t, -1 - wall, elastic, rules, work)
+    elastic = lossy and takes_nothing(d, rows, i, t, clock, rules.collapse)
+    note_contact(axes, rows, i, t, -1 - wall, clock, elastic, rules.collapse, rules.crowd_from, work.any_squeezed)
     move_to(axes, segment, i, t)
     w = lists.reference[i, d + INVERSE_MASS]
     if elastic:
@@ -136,33 +144,34 @@ def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t):
     stop_squeezed(axes, rows, i, rules.crowd_from)
     own = state[i, OWNERSHIP] >= OWN
     if elastic and own:
-        note_tc_elastic(work, rules.moment + t, state[i, ID], -1 - wall)
+        note_tc_elastic(work, clock.moment + t, state[i, ID], -1 - wall)
     work.counts[WALL_HITS] += own
     if log.window[0] > 0:
         note_segment(axes, rows, i, log)
 
 
 @in_place
-def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t):
+def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock):
     """Rows i and j meet at time t, i being the one with the lower id. Returns whether they collide: at a jam they stop."""
     state = rows.state
     collides = max(state[i, RAPID_EVENTS], state[j, RAPID_EVENTS]) < JAMMED
     if collides:
+        collapse, any_squeezed = rules.collapse, work.any_squeezed
         elastic = rules.loss.restitution * rules.loss.velocity_factor < 1.0 and (
-            takes_nothing(len(axes), rows, i, t, rules) or takes_nothing(len(axes), rows, j, t, rules)
+            takes_nothing(len(axes), rows, i, t, clock, collapse) or takes_nothing(len(axes), rows, j, t, clock, collapse)
         )
-        note_contact(axes, rows, i, t, state[j, ID], elastic, rules, work)
-        note_contact(axes, rows, j, t, state[i, ID], elastic, rules, work)
+        note_contact(axes, rows, i, t, state[j, ID], clock, elastic, collapse, rules.crowd_from, any_squeezed)
+        note_contact(axes, rows, j, t, state[i, ID], clock, elastic, collapse, rules.crowd_from, any_squeezed)
         loss = (1.0, 1.0) if elastic else (rules.loss.restitution, rules.loss.velocity_factor)
         length = lists.box[2]
-        state.view(np.float64)[i, VIRIAL] += collide(
+        rows.reals[i, VIRIAL] += collide(
             axes, rows.segment, lists.reference, i, j, t, loss, length, rules.rates, rough, elastic, work.r
         )
         stop_squeezed(axes, rows, i, rules.crowd_from)
         stop_squeezed(axes, rows, j, rules.crowd_from)
         own = state[i, OWNERSHIP] >= OWN
         if elastic and own:
-            note_tc_elastic(work, rules.moment + t, state[i, ID], state[j, ID])
+            note_tc_elastic(work, clock.moment + t, state[i, ID], state[j, ID])
         work.counts[COLLISIONS] += own
     else:
         stop_at_jam(axes, rows, i, t)
@@ -187,7 +196,8 @@ def time_stands_still(work, t, h, rows):
 def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     """All events of an interval, in order. work.stale[:pending] are rows whose next event is not known.
 
-    rules: see `Rules`. interval: from when until when, and how many skins ahead of a particle its new reference position lies.
+    rules: see `Rules`. interval: the `Clock`, from when until when in it, and how many skins ahead of a particle its new
+    reference position lies.
     Returns 0; or how many places the pool of the lists is short of: then call again with a larger one; or INTERRUPTED after so
     many events that a user may have pressed Ctrl-C: then call again; or FULL_BUCKET: sort it, and call again; or STANDSTILL,
     where events follow one another for ever but time does not pass. With stop[ASKED] the loop ends after the first collision.
@@ -196,10 +206,11 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     as plain tuples, as in all kernels of this folder that Python calls: see `jit.plain`.
     """
     rows, lists, queue, work, log = Rows(*rows), Lists(*lists), Queue(*queue), Work(*work), Log(*log)
-    loss, law, collapse, crowd_from, planes, rates, length, moment = rules
-    rules = Rules(Loss(*loss), law, Collapse(*collapse), crowd_from, Planes(*planes), rates, length, moment)
+    loss, law, collapse, crowd_from, planes, rates = rules
+    rules = Rules(Loss(*loss), law, Collapse(*collapse), crowd_from, Planes(*planes), rates)
     rough = Rough(rows.spin, rows.inverse_inertia, law, work.normal, work.impulse)
-    now, until, ahead = interval
+    clock, now, until, ahead = interval
+    clock = Clock(*clock)
     state, node, times, stale = rows.state, queue.node, queue.times, work.stale
     events = 0
     while True:
@@ -209,7 +220,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             if state[i, OWNERSHIP] == NOT_HERE:
                 continue
             cancel(queue, i)
-            t, partner = next_event(axes, rows, lists, rules.planes, work, i, now, length)
+            t, partner = next_event(axes, rows, lists, rules.planes, work, i, now, clock.length)
             if partner != NO_EVENT:
                 push(queue, state, i, t, partner, state[partner, EVENT_COUNT] if partner >= 0 else 0)
             continue
@@ -222,7 +233,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
         if i == EMPTY or times[i, TIME] >= until:
             return 0
         t, j = times[i, TIME], np.int64(node[i, PARTNER])
-        if time_stands_still(work, t, length, len(state)):
+        if time_stands_still(work, t, clock.length, len(state)):
             stale[0], stale[1] = i, j
             return STANDSTILL
         events += 1
@@ -238,7 +249,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             if short > 0:
                 return short
         elif j < 0:
-            hit_wall(axes, rows, lists, rules, rough, work, log, i, -1 - j, t)
+            hit_wall(axes, rows, lists, rules, rough, work, log, i, -1 - j, t, clock)
         elif node[i, PARTNER_COUNT] == state[j, EVENT_COUNT]:
             if log.window[0] > 0:
                 save_once(axes, rows, j, log)
@@ -246,6 +257,6 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             pending = 2
             if state[j, ID] < state[i, ID]:
                 i, j = j, i
-            if hit_row(axes, rows, lists, rules, rough, work, log, i, j, t) and work.stop[ASKED]:
+            if hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock) and work.stop[ASKED]:
                 work.stop[LOWER], work.stop[HIGHER], work.stopped[0] = state[i, ID], state[j, ID], t
                 return 0

@@ -9,8 +9,6 @@ two, so that it moves nothing, and is exact again when `rows.end_drift` gives it
 
 from typing import NamedTuple
 
-import numpy as np
-
 from particles_mpi.contacts.event_driven.rows import (
     EVENT_COUNT,
     FOLLOWING,
@@ -80,43 +78,42 @@ def progress(d, segment, i, t, h, elastic):
 
 
 @in_place
-def takes_nothing(d, rows, i, t, rules):
-    """Does a contact of row i at time t of a drift take no energy? See `Collapse`; rules: `event_loop.Rules`."""
-    collapse = rules.collapse
-    soon = abs(rules.moment + t - rows.state.view(np.float64)[i, LAST_CONTACT]) < collapse.duration
+def takes_nothing(d, rows, i, t, clock, collapse):
+    """Does a contact of row i at time t of a drift (`event_loop.Clock`) take no energy? See `Collapse`."""
+    soon = abs(clock.moment + t - rows.reals[i, LAST_CONTACT]) < collapse.duration
     if collapse.before == 0:
         return soon
     rapid = rows.state[i, RAPID_EVENTS]
     follows = (
-        rapid % ZERO_TIME_EVENT // FOLLOWING >= collapse.before and t - rows.segment[i, 2 * d + START] > STANDING * rules.length
+        rapid % ZERO_TIME_EVENT // FOLLOWING >= collapse.before and t - rows.segment[i, 2 * d + START] > STANDING * clock.length
     )
     return soon and (follows or rapid >= collapse.at_once * ZERO_TIME_EVENT)
 
 
 @in_place
-def note_contact(axes, rows, i, t, partner, elastic, rules, work):
+def note_contact(axes, rows, i, t, partner, clock, elastic, collapse, crowd_from, any_squeezed):
     """Row i is about to begin a new segment at time t of a drift: change its state.
 
     With `crowd_from` quick contacts it is one of a crowd, whose rows wait as squeezed ones do. `elastic`: the contact
-    `takes_nothing`, because it follows others so soon. rules, work: see `event_loop`.
+    `takes_nothing`, because it follows others so soon.
     """
-    state, reals = rows.state, rows.state.view(np.float64)
-    if t - rows.segment[i, 2 * len(axes) + START] > STANDING * rules.length:  # contacts at the same moment are as one
+    state, reals = rows.state, rows.reals
+    if t - rows.segment[i, 2 * len(axes) + START] > STANDING * clock.length:  # contacts at the same moment are as one
         following = state[i, RAPID_EVENTS] % ZERO_TIME_EVENT // FOLLOWING
-        soon = abs(rules.moment + t - reals[i, LAST_CONTACT]) < rules.collapse.duration
+        soon = abs(clock.moment + t - reals[i, LAST_CONTACT]) < collapse.duration
         state[i, RAPID_EVENTS] += ((min(following + 1, MOST_FOLLOWING) if soon else 0) - following) * FOLLOWING
-    way = progress(len(axes), rows.segment, i, t, rules.length, elastic)
+    way = progress(len(axes), rows.segment, i, t, clock.length, elastic)
     if way < 0:
         state[i, RAPID_EVENTS] += ZERO_TIME_EVENT
     elif way > 0:
         state[i, RAPID_EVENTS] %= ZERO_TIME_EVENT
-    state[i, RAPID_EVENTS] += abs(rules.moment + t - reals[i, LAST_CONTACT]) <= QUICK * rules.length
-    if state[i, RAPID_EVENTS] % FOLLOWING >= min(rules.crowd_from, rules.collapse.most) and state[i, RAPID_EVENTS] < SQUEEZED:
+    state[i, RAPID_EVENTS] += abs(clock.moment + t - reals[i, LAST_CONTACT]) <= QUICK * clock.length
+    if state[i, RAPID_EVENTS] % FOLLOWING >= min(crowd_from, collapse.most) and state[i, RAPID_EVENTS] < SQUEEZED:
         state[i, RAPID_EVENTS] += SQUEEZED
-    work.any_squeezed[0] |= state[i, RAPID_EVENTS] >= SQUEEZED
+    any_squeezed[0] |= state[i, RAPID_EVENTS] >= SQUEEZED
     state[i, LAST_PARTNER] = partner
     state[i, EVENT_COUNT] += 1
-    reals[i, LAST_CONTACT] = rules.moment + t
+    reals[i, LAST_CONTACT] = clock.moment + t
 
 
 @in_place

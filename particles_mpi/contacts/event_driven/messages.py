@@ -1,6 +1,6 @@
 """What ranks send one another after a window of time: compiled parts of `windows`. `arrivals` is what they do with it.
 
-A message is a series of float64, or of int64 in their place, each part beginning with its kind and a particle's id:
+A message is a series of numbers, each part beginning with its kind and a particle's id:
 
 - UPDATE: the record (see `rows`) of a row that was changed, to all ranks that hold it as a ghost.
 - ADD_GHOST: the record, R, 1/m, reference position, the acceleration where it differs from row to row, the drag if there is
@@ -17,6 +17,7 @@ import numpy as np
 from particles_mpi.contacts.event_driven.regions import Moves, Regions
 from particles_mpi.contacts.event_driven.rows import (
     ID,
+    OWN,
     OWNERSHIP,
     SHARED,
     Log,
@@ -37,14 +38,19 @@ HOLDER, PLACE = range(2)  # columns of `fields_at`
 
 
 class Directory(NamedTuple):
-    """Which ranks hold a particle, and where it is here."""
+    """Which ranks hold a particle, and where it is here. A set of ranks is a bit mask, of one int64 for 64 known ranks."""
 
     table: Array  # (places, 2) the rows by id, see `id_table`
-    holders: Array  # (n, k) bool, of an own row: which of the known ranks hold it, this one too
+    holders: Array  # (n, masks) of an own row: the known ranks that hold it, this one too
     fields_at: Array  # (n, 2) of an own row: HOLDER, the rank that holds the fields of the particle until the end of the drift
     updated: Array  # (n,) the last window in which an owner sent an UPDATE of this row
     free: Array  # (n,) int32, rows that are not in use
     free_count: Array  # (1,) how many these are
+
+
+def message_of(numbers: Array) -> tuple[Array, Array]:
+    """A message as kernels take it: the numbers, and the same memory as int64."""
+    return numbers, numbers.view(np.int64)
 
 
 @inner
@@ -68,15 +74,20 @@ def widest_part(dimension: int) -> int:
 @inner
 def extra_width(rows):
     """Numbers a row of what changes velocities and differs from row to row."""
-    return rows.acceleration.shape[1] + (len(rows.drag) > 0) + (len(rows.inverse_inertia) > 0)
+    return (
+        (rows.acceleration.shape[1] if len(rows.acceleration) > 0 else 0)
+        + (1 if len(rows.drag) > 0 else 0)
+        + (1 if len(rows.inverse_inertia) > 0 else 0)
+    )
 
 
 @lean_inner
-def save_extra(rows, i, out, at):
+def save_extra(d, rows, i, out, at):
     """Write what changes the velocity of row i, and its 1/I, to `out` from place `at` on; returns where it ends."""
-    for k in range(rows.acceleration.shape[1]):
-        out[at] = rows.acceleration[i, k]
-        at += 1
+    if len(rows.acceleration) > 0:
+        for k in range(d):
+            out[at + k] = rows.acceleration[i, k]
+        at += d
     if len(rows.drag) > 0:
         out[at] = rows.drag[i]
         at += 1
@@ -87,11 +98,12 @@ def save_extra(rows, i, out, at):
 
 
 @lean_inner
-def load_extra(rows, i, numbers, at):
+def load_extra(d, rows, i, numbers, at):
     """What `save_extra` wrote."""
-    for k in range(rows.acceleration.shape[1]):
-        rows.acceleration[i, k] = numbers[at]
-        at += 1
+    if len(rows.acceleration) > 0:
+        for k in range(d):
+            rows.acceleration[i, k] = numbers[at + k]
+        at += d
     if len(rows.drag) > 0:
         rows.drag[i] = numbers[at]
         at += 1
@@ -99,12 +111,34 @@ def load_extra(rows, i, numbers, at):
         rows.inverse_inertia[i] = numbers[at]
 
 
+@lean_inner
+def holds(masks, i, bit):
+    """Is this bit set in row i?"""
+    return (masks[i, bit >> 6] >> (bit & 63)) & 1 == 1
+
+
+@lean_inner
+def add_holder(masks, i, bit):
+    """Set this bit in row i."""
+    masks[i, bit >> 6] |= np.int64(1) << (bit & 63)
+
+
+@lean_inner
+def ownership(holders, i, here):
+    """Of own row i: SHARED if another rank than that of bit `here` holds it, else OWN."""
+    others = holders[i, here >> 6] & ~(np.int64(1) << (here & 63))
+    for b in range(holders.shape[1]):
+        if b != here >> 6:
+            others |= holders[i, b]
+    return SHARED if others != 0 else OWN
+
+
 @lean
-def pack_changes(rows, reference, directory, log, moves, regions, number, message):
-    """What the known rank of that number must know of the window of own rows; returns the length. `message` has room for it."""
+def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
+    """All that the known rank of a bit must know of the window of own rows; returns the length. `message` has room for it."""
     rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
-    rank, me = Regions(*regions).known[number], Regions(*regions).rank
-    bits = message.view(np.int64)
+    rank, me = Regions(*regions).known[bit], Regions(*regions).rank
+    out, bits = message
     segment, state, holders = rows.segment, rows.state, directory.holders
     d = dimension(rows)
     size = 0
@@ -114,28 +148,28 @@ def pack_changes(rows, reference, directory, log, moves, regions, number, messag
         prefetch(segment, log.changed[p])
     for p in log.border[: log.border_count[0]]:
         i = np.int64(log.changed[p])
-        if state[i, OWNERSHIP] == SHARED and holders[i, number] and has_new_segment(d, rows, log, p):
+        if state[i, OWNERSHIP] == SHARED and holds(holders, i, bit) and has_new_segment(d, rows, log, p):
             bits[size], bits[size + 1] = UPDATE, state[i, ID]
-            size = save_row(d, rows, i, message, size + HEAD)
+            size = save_row(d, rows, i, out, bits, size + HEAD)
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])
-        if moves.holders[m, number] and not holders[i, number]:
+        if holds(moves.holders, m, bit) and not holds(holders, i, bit):
             bits[size], bits[size + 1] = ADD_GHOST, state[i, ID]
-            size = save_row(d, rows, i, message, size + HEAD)
-            message[size], message[size + 1] = segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS]
+            size = save_row(d, rows, i, out, bits, size + HEAD)
+            out[size], out[size + 1] = segment[i, 2 * d + RADIUS], reference[i, d + INVERSE_MASS]
             for k in range(d):
-                message[size + 2 + k] = reference[i, k]
-            size = save_extra(rows, i, message, size + 2 + d)
+                out[size + 2 + k] = reference[i, k]
+            size = save_extra(d, rows, i, out, size + 2 + d)
         if moves.owner[m] == rank:
             bits[size], bits[size + 1] = TRANSFER, state[i, ID]
             size += HEAD
             bits[size], bits[size + 1], bits[size + 2] = directory.fields_at[i, HOLDER], directory.fields_at[i, PLACE], me
             for k in range(d):
-                message[size + 3 + k] = reference[i, k]
+                out[size + 3 + k] = reference[i, k]
             size += 3 + d
     for m in range(log.moved_count[0]):
         i = np.int64(log.moved[m])
-        if holders[i, number] and not moves.holders[m, number]:
+        if holds(holders, i, bit) and not holds(moves.holders, m, bit):
             bits[size], bits[size + 1] = DROP_GHOST, state[i, ID]
             size += HEAD
     return size

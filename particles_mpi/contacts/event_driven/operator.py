@@ -14,9 +14,8 @@ import numpy as np
 
 from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.event_driven.engine import NAMED, NEVER_CROWDED, Engine
-from particles_mpi.contacts.event_driven.event_loop import TC_ELASTIC
+from particles_mpi.contacts.event_driven.event_loop import HIGHER, LOWER, TC_ELASTIC
 from particles_mpi.contacts.event_driven.jams import Collapse
-from particles_mpi.contacts.event_driven.partition import Partition
 from particles_mpi.contacts.event_driven.whole import CHANGING, Whole
 from particles_mpi.contacts.event_driven.windows import Windows
 from particles_mpi.contacts.velocity_flow import Rates
@@ -77,10 +76,11 @@ class EventDriven:
         self.tc_elastic: tuple[int, float, Array] = 0, np.inf, np.empty((0, 3))
         self.crowded_steps = 0
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
+        self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
         self.hold = hold
         self.noting = effects.finishes_bounces
         self.last: LastContacts | None = None
-        self.parts: list[Whole | Partition] = []  # what has been needed so far
+        self.parts: list[Whole | Windows] = []  # what has been needed so far
 
     @cached_property
     def whole(self) -> Whole:
@@ -89,8 +89,7 @@ class EventDriven:
 
     @cached_property
     def windows(self) -> Windows:
-        windows = Windows(self.particles, self.ranks, Engine(*self.rules), self.box, self.timers)
-        self.parts.append(windows.partition)
+        self.parts.append(windows := Windows(self.particles, self.ranks, Engine(*self.rules), self.box, self.timers))
         return windows
 
     @property
@@ -100,12 +99,12 @@ class EventDriven:
     @property
     def reached(self) -> float:
         """How long the last drift with `stop` took."""
-        return float(self.whole.engine.work.stopped[0])
+        return float(self.stopped[0])
 
     @property
     def met(self) -> tuple[int, int] | None:
         """The ids of the two that ended it, the lower one first, or None."""
-        _, lower, higher = self.whole.engine.work.stop.tolist()
+        lower, higher = int(self.stop[LOWER]), int(self.stop[HIGHER])
         return (lower, higher) if lower >= 0 else None
 
     def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
@@ -165,6 +164,7 @@ class EventDriven:
             self.last = engine.last_contacts(self.whole.rows_of_rank(), moment)
         if self.divided:
             self.windows.engine.events = engine.events // self.ranks.size  # what a rank has to expect
+        self.stop[:], self.stopped[:] = engine.work.stop, engine.work.stopped
         if self.ranks.is_root:  # all ranks saw the same
             self.count_tc_elastic(moment, engine)
         return happened * self.ranks.is_root

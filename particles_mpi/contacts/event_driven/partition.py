@@ -1,6 +1,7 @@
 """Which rows a rank has in mode `event` on several ranks: its own, and as ghosts those that they may meet in a step.
 
-Regions and ghosts are those that `windows` tells of. Reference positions, and with them owners and holders of rows, change in the
+Space is divided into regions. A rank owns the particles whose reference positions are in its region, and has those near it as
+ghosts, to a depth through which errors must come. Reference positions, and with them owners and holders of rows, change in the
 course of a step; particles follow at its end.
 """
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from particles_mpi.contacts.event_driven.engine import Engine
 from particles_mpi.contacts.event_driven.id_table import rows_of_ids, table_of
-from particles_mpi.contacts.event_driven.messages import HOLDER, PLACE, Directory, pack_changes, widest_part
+from particles_mpi.contacts.event_driven.messages import HOLDER, PLACE, Directory, message_of, pack_changes, widest_part
 from particles_mpi.contacts.event_driven.regions import Moves, Regions, distances2, mark_holders, plan_moves
 from particles_mpi.contacts.event_driven.rows import (
     ID,
@@ -79,13 +80,13 @@ class Partition:
         lists.width = self.skin
         self.divide(largest, mean)
         known = len(self.regions.known)
-        holders = np.zeros((n, known), bool)
+        holders = np.zeros((n, known // 64 + 1), np.int64)
         reference = lists.arrays.reference
         reference[:n, d + SIZE] = p.radius + np.where(p.inverse_mass > 0.0, self.skin, 0.0)
         mark_holders(reference, np.arange(n, dtype=np.int32), tuple(self.regions), holders)
-        _, shared = np.nonzero(holders[:, :-1].T)
-        counts = np.zeros(ranks.size, np.int32)
-        counts[self.neighbours] = holders[:, :-1].sum(axis=0)
+        held = [np.flatnonzero(holders[:, k >> 6] >> (k & 63) & 1) for k in range(known - 1)]
+        shared, counts = np.concatenate([*held, np.empty(0, np.int64)]).astype(np.int64), np.zeros(ranks.size, np.int32)
+        counts[self.neighbours] = list(map(len, held))
         sent = {name: column for name, column in p.arrays.items() if field(name).ghost or name == "virial"}
         arrived, _ = send_rows(ranks, sent, shared, counts)
         here = Particles(d, {name: np.concatenate((column, arrived[name])) for name, column in sent.items()})
@@ -98,7 +99,7 @@ class Partition:
         total = len(here) + spare
         self.directory = Directory(
             table_of(here.id, np.arange(len(here)), total),
-            enlarged(holders, np.zeros((total, known), bool)), np.zeros((total, 2), np.int64),
+            enlarged(holders, np.zeros((total, holders.shape[1]), np.int64)), np.zeros((total, 2), np.int64),
             np.zeros(total, np.int64), np.roll(np.arange(total, dtype=np.int32), spare), np.array([spare]),
         )  # fmt: skip
         self.own_rows = np.arange(n, dtype=np.int32)
@@ -130,8 +131,9 @@ class Partition:
         rows, holders, d = self.engine.rows, self.directory.holders, len(self.box.length)
         shared = np.flatnonzero(rows.state[:, OWNERSHIP] == SHARED)
         numbers = [rows.state[shared, ID].view(float), rows.segment[shared, : 2 * d]]
-        table = np.column_stack((*numbers, rows.acceleration[shared], rows.spin[shared]))
-        outgoing = [table[holders[shared, k]].ravel() for k in range(len(self.neighbours))]
+        numbers += [column[shared] for column in (rows.acceleration, rows.spin) if len(column)]
+        table = np.column_stack(numbers)
+        outgoing = [table[(holders[shared, k >> 6] >> (k & 63) & 1) == 1].ravel() for k in range(len(self.neighbours))]
         arrived = sendrecv(self.ranks, self.neighbours, outgoing).reshape(-1, table.shape[1])
         ghosts = rows_of_ids(self.directory.table, arrived[:, 0].copy().view(np.int64))
         rows.segment[ghosts, : 2 * d], rows.segment[ghosts, 2 * d + START] = arrived[:, 1 : 2 * d + 1], 0.0
@@ -139,27 +141,28 @@ class Partition:
         rows.state[ghosts, RAPID_EVENTS] = rows.state[ghosts, TRAJECTORY_HASH] = 0
         at = 2 * d + 1
         for column in (rows.acceleration, rows.spin):
-            column[ghosts] = arrived[:, at : at + column.shape[1]]
-            at += column.shape[1]
+            if len(column):
+                column[ghosts] = arrived[:, at : at + column.shape[1]]
+                at += column.shape[1]
 
     def plan_moves(self) -> Moves:
         """For the own rows that got new reference positions: who must hold them, and who owns them."""
         log, domain = self.engine.log, self.balance.decomposition
         moved = int(log.moved_count[0])
-        moves = Moves(np.zeros((moved, len(self.regions.known)), bool), np.empty(moved, np.int64))
+        moves = Moves(np.zeros((moved, self.directory.holders.shape[1]), np.int64), np.empty(moved, np.int64))
         tree = domain.axis, domain.cut, domain.below, domain.above
         plan_moves(self.engine.lists.arrays.reference, tuple(log), tuple(self.regions), tree, tuple(moves))
         return moves
 
-    def changes_for(self, number: int, moves: Moves) -> Array:
-        """What happened in the window, for the known rank of that number."""
+    def changes_for(self, bit: int, moves: Moves) -> Array:
+        """What happened in the window, for the known rank of a bit."""
         engine, log, d = self.engine, self.engine.log, len(self.box.length)
         parts = int(log.border_count[0]) + 3 * int(log.moved_count[0])
-        message = np.empty(parts * widest_part(d))
+        message = message_of(np.empty(parts * widest_part(d)))
         rows, directory, reference = tuple(engine.rows), tuple(self.directory), engine.lists.arrays.reference
         regions = tuple(self.regions)
-        size = pack_changes(rows, reference, directory, tuple(log), tuple(moves), regions, number, message)
-        return message[:size].copy()  # the rest of the room is given back
+        size = pack_changes(rows, reference, directory, tuple(log), tuple(moves), regions, bit, message)
+        return message[0][:size].copy()  # the rest of the room is given back
 
     def grow(self) -> None:
         """More rows than there is room for came near."""

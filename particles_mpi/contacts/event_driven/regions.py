@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, Log, record_width
+from particles_mpi.contacts.event_driven.rows import OWN, OWNERSHIP, Log, record_width, spin_width
 from particles_mpi.kernels.geometry import some_nearest
 from particles_mpi.kernels.jit import in_place, inner, kernel, lean_inner, prefetch
 from particles_mpi.kernels.markers import RADIUS, START
-from particles_mpi.neighbours.verlet_cells import MARGIN, rows_in_cells
+from particles_mpi.neighbours.verlet_cells import MARGIN, NEXT_ROW, first_in_cells
 from particles_mpi.neighbours.verlet_kernels import SIZE
 from particles_mpi.parallel.decomposition import owners
 from particles_mpi.particles import Array
@@ -22,7 +22,7 @@ class Regions(NamedTuple):
     high: Array  # (ranks, d)
     box: tuple[Array, ...]  # a `Box`, as a plain tuple
     rank: int  # this one
-    known: Array  # (k,) the ranks that may have to know rows of this one, and itself as the last
+    known: Array  # the ranks that may have to know rows of this one, and itself as the last: bit k of a mask is rank known[k]
     reach: float  # own rows touch, in a window, only ghosts whose surface is within this of the region
     bound: float  # how far a row gets in a window, at most
     depth: float  # a rank must know each row whose skin is within this of its region: `reach`, and some ghosts more
@@ -31,7 +31,7 @@ class Regions(NamedTuple):
 class Moves(NamedTuple):
     """What follows for the m own rows that got new reference positions, in the order of the log."""
 
-    holders: Array  # (m, k) bool: which of the known ranks must hold it from now on
+    holders: Array  # (m, masks) the ranks that must hold it from now on
     owner: Array  # (m,) the rank that owns it from now on
 
 
@@ -69,15 +69,18 @@ def distance2(regions, rank, x, i):
 
 
 @kernel
-def mark_holders(reference, rows, regions, holders):
-    """holders[p] (p, k) bool: which of the known ranks must know row rows[p]: those with a region within `depth` of its skin."""
+def mark_holders(reference, rows, regions, masks):
+    """masks[p] (p, masks): which of the known ranks must know row rows[p]: those whose region is within `depth` of its skin."""
     regions = Regions(*regions)
     d = regions.low.shape[1]
     for p in range(len(rows)):
         i = np.int64(rows[p])
         within = regions.depth + reference[i, d + SIZE]
+        for b in range(masks.shape[1]):
+            masks[p, b] = 0
         for k in range(len(regions.known)):
-            holders[p, k] = distance2(regions, regions.known[k], reference, i) <= within * within
+            if distance2(regions, regions.known[k], reference, i) <= within * within:
+                masks[p, k >> 6] |= np.int64(1) << (k & 63)
 
 
 @kernel
@@ -103,7 +106,7 @@ def plan_moves(reference, log, regions, tree, moves):
             for k in range(d):
                 place[0, k] = in_box(reference[i, k], length[k], lower[k])
             moves.owner[m] = owners(place, *tree)[0]
-        moves.holders[m, here] = True  # it stays here for now, as a ghost if not as an own row
+        moves.holders[m, here >> 6] |= np.int64(1) << (here & 63)  # it stays here for now, as a ghost if not as an own row
 
 
 @in_place
@@ -112,7 +115,7 @@ def place_at_begin(rows, log, i, begin, place, p):
     segment, saved = rows.segment, log.saved
     d = place.shape[1]
     changed = log.mark[i] >= log.stamp[0]
-    at = (log.mark[i] - log.stamp[0]) * record_width(d, rows.spin.shape[1])
+    at = (log.mark[i] - log.stamp[0]) * record_width(d, spin_width(rows))
     for k in range(d):
         if changed:
             place[p, k] = saved[at + k] + saved[at + d + k] * (begin - saved[at + 2 * d + START])
@@ -126,7 +129,7 @@ def can_affect_owned(rows, lists, log, regions, i, begin, place):
 
     It may if one was so near to it then that both can have come together. Most rows are too far from the region for any.
     """
-    segment, nearby = rows.segment, lists.nearby
+    segment, links, nearby = rows.segment, lists.links, lists.nearby
     _, _, length = lists.box
     d = regions.low.shape[1]
     radius = segment[i, 2 * d + RADIUS]
@@ -135,8 +138,14 @@ def can_affect_owned(rows, lists, log, regions, i, begin, place):
     if distance2(regions, regions.rank, place, np.int64(0)) > within * within:
         return False
     # An own row was within its skin of its reference position, or has got a new one within its skin of where it came to.
-    for p in range(rows_in_cells(length, lists, place, np.int64(0), radius + 3.0 * regions.bound)):
+    waiting = first_in_cells(length, lists, place, np.int64(0), radius + 3.0 * regions.bound)
+    p = 0
+    while p < waiting:
         j = np.int64(nearby[p])
+        p += 1
+        if links[j, 2 * d + NEXT_ROW] >= 0:
+            nearby[waiting] = links[j, 2 * d + NEXT_ROW]
+            waiting += 1
         if rows.state[j, OWNERSHIP] < OWN:
             continue
         place_at_begin(rows, log, j, begin, place, 1)

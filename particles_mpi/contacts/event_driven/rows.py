@@ -33,16 +33,18 @@ class Rows(NamedTuple):
     A particle's path in a drift is made of straight segments: x + v (t - START) from its last contact on. Its position is not
     brought to other times before the next contact, so that no look at it leaves a trace in the bits. Of each row, in `state`:
     LAST_PARTNER in this drift is an id, -1 - wall, or NOBODY; TRAJECTORY_HASH, a hash of all its segments in this drift;
-    EVENT_COUNT, how often its path was changed: an event that was foreseen with another count is void. As float64: the time
+    EVENT_COUNT, how often its path was changed: an event that was foreseen with another count is void. In `reals`: the time
     of its LAST_CONTACT, and VIRIAL, the sum of r.J over its collisions (`law.collide_pair`).
     """
 
     segment: Array  # (n, 2 d + 2): x (d), v (d), START, RADIUS
-    state: Array  # (n, 8) int64, some columns of which are float64: one line of the cache
-    acceleration: Array  # (n, d), or (n, 0) where it is the same for all
+    segment_bits: Array  # the same memory as int64
+    state: Array  # (n, 8) int64: one line of the cache
+    reals: Array  # the same memory as float64
+    acceleration: Array  # (n, d), or no row where it is the same for all
     drag: Array  # (n,) rates of drag, or no row without drag
-    spin: Array  # (n, d(d-1)/2), or (n, 0) where spheres are smooth
-    inverse_inertia: Array  # (n,) inverse moments of inertia, or no row where spheres are smooth
+    spin: Array  # (n, d(d-1)/2), or no row where spheres are smooth
+    inverse_inertia: Array  # (n,) inverse moments of inertia, likewise
 
 
 @inner
@@ -59,7 +61,7 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, sp
     anything is not finite.
     """
     rows = Rows(*rows)
-    segment, state, reals = rows.segment, rows.state, rows.state.view(np.float64)
+    segment, state, reals = rows.segment, rows.state, rows.reals
     d = len(axes)
     moved = False
     fastest = 0.0
@@ -77,9 +79,10 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, sp
         state[i, LAST_PARTNER], state[i, RAPID_EVENTS], state[i, TRAJECTORY_HASH] = NOBODY, 0, 0
         reals[i, LAST_CONTACT] = last_contact[p]
         reals[i, VIRIAL] = virial[p] if len(virial) else 0.0
-        for k in range(rows.acceleration.shape[1]):
-            rows.acceleration[i, k] = acceleration[p, k]
-        for c in range(rows.spin.shape[1]):
+        if len(acceleration) > 0:
+            for k in range(d):
+                rows.acceleration[i, k] = acceleration[p, k]
+        for c in range(spin_width(rows)):
             rows.spin[i, c] = spin[p, c]
     return moved, sqrt(fastest)
 
@@ -119,14 +122,14 @@ def end_drift(axes, rows, h, reference, box, stops):
 def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowd_from, own_rows):
     """Particle p as row own_rows[p] is; those with `crowd_from` quick contacts are CROWD in `supported` if that has rows."""
     rows = Rows(*rows)
-    segment, state, reals = rows.segment, rows.state, rows.state.view(np.float64)
+    segment, state, reals = rows.segment, rows.state, rows.reals
     d = len(axes)
     for p in range(len(x)):
         i = own_rows[p]
         for k in range(d):
             x[p, k] = segment[i, k]
             v[p, k] = segment[i, d + k]
-        for c in range(rows.spin.shape[1]):
+        for c in range(spin_width(rows)):
             spin[p, c] = rows.spin[i, c]
         last_contact[p] = reals[i, LAST_CONTACT]
         if len(virial):
@@ -136,8 +139,14 @@ def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowd_fr
 
 
 @inner(inline="always")
+def spin_width(rows):
+    """Numbers of a spin, 0 where spheres are smooth."""
+    return rows.spin.shape[1] if len(rows.spin) > 0 else 0
+
+
+@inner(inline="always")
 def record_width(d, spins):
-    """Numbers in a record, in d dimensions, with spins of so many components."""
+    """Numbers in a record, in d dimensions; `spins`: see `spin_width`."""
     return 2 * d + START + 1 + SAVED + spins
 
 
@@ -156,6 +165,7 @@ class Log(NamedTuple):
     stamp: Array  # (1,) grows from window to window, by more than the changes in it: so marks need not be cleared
     mark: Array  # (n,) of a row that was changed in this window: stamp + its place in `changed`; of others less than the stamp
     saved: Array  # (n * record_width,) records of these rows, as they were before
+    saved_bits: Array  # the same memory as int64
     fastest2: Array  # (1,) the largest square of a speed that a contact gave
     moved_count: Array  # (1,) own rows that got new reference positions, since `reconcile` dealt with the last ones
     moved: Array  # (n,) int32, these
@@ -166,38 +176,39 @@ class Log(NamedTuple):
 
 def new_log(n: int, d: int, spins: int) -> Log:
     """For n rows in d dimensions, whose spins have so many components, 0 where spheres are smooth."""
+    saved = np.empty(n * record_width(d, spins))
     one = np.zeros((4, 1), np.int64)
     return Log(
-        one[0], one[1], np.empty(n, np.int32), np.ones(1, np.int64), np.zeros(n, np.int64), np.empty(n * record_width(d, spins)),
+        one[0], one[1], np.empty(n, np.int32), np.ones(1, np.int64), np.zeros(n, np.int64), saved, saved.view(np.int64),
         np.zeros(1), one[2], np.empty(n, np.int32), np.zeros(n, np.bool_), one[3], np.empty(n, np.int32),
     )  # fmt: skip
 
 
 @in_place
-def save_row(d, rows, i, out, at):
+def save_row(d, rows, i, out, out_bits, at):
     """Write the record of row i, in d dimensions, to `out` from place `at` on; returns where it ends."""
-    segment, state, bits = rows.segment, rows.state, out.view(np.int64)
+    segment, state = rows.segment, rows.state
     for k in range(2 * d + START + 1):
         out[at + k] = segment[i, k]
     at += 2 * d + START + 1
     for k in range(SAVED):
-        bits[at + k] = state[i, k]
+        out_bits[at + k] = state[i, k]
     at += SAVED
-    for c in range(rows.spin.shape[1]):
+    for c in range(spin_width(rows)):
         out[at + c] = rows.spin[i, c]
-    return at + rows.spin.shape[1]
+    return at + spin_width(rows)
 
 
 @in_place
-def load_row(d, rows, i, record, at):
+def load_row(d, rows, i, record, bits, at):
     """Restore row i from the record at place `at`; raise its event count, so that queued events with it are void."""
-    segment, state, bits = rows.segment, rows.state, record.view(np.int64)
+    segment, state = rows.segment, rows.state
     for k in range(2 * d + START + 1):
         segment[i, k] = record[at + k]
     at += 2 * d + START + 1
     for k in range(SAVED):
         state[i, k] = bits[at + k]
-    for c in range(rows.spin.shape[1]):
+    for c in range(spin_width(rows)):
         rows.spin[i, c] = record[at + SAVED + c]
     state[i, EVENT_COUNT] += 1
 
@@ -212,14 +223,14 @@ def save_once(axes, rows, i, log):
         if rows.state[i, OWNERSHIP] != OWN:
             log.border[log.border_count[0]] = count[0]
             log.border_count[0] += 1
-        save_row(np.int64(len(axes)), rows, i, log.saved, count[0] * record_width(len(axes), rows.spin.shape[1]))
+        save_row(np.int64(len(axes)), rows, i, log.saved, log.saved_bits, count[0] * record_width(len(axes), spin_width(rows)))
         count[0] += 1
 
 
 @in_place
 def note_segment(axes, rows, i, log):
     """Row i has begun a new segment: add it to the row's hash, and its speed to the log."""
-    segment, bits, state = rows.segment, rows.segment.view(np.int64), rows.state
+    segment, bits, state = rows.segment, rows.segment_bits, rows.state
     d = len(axes)
     speed2 = 0.0
     h = state[i, TRAJECTORY_HASH] ^ state[i, LAST_PARTNER]
@@ -243,5 +254,4 @@ def note_move(i, log):
 @in_place
 def has_new_segment(d, rows, log, p):
     """Has the row at place p of the log got a new segment in the window, or only a new reference position?"""
-    before = log.saved.view(np.int64)[p * record_width(d, rows.spin.shape[1]) + hash_place(d)]
-    return before != rows.state[log.changed[p], TRAJECTORY_HASH]
+    return log.saved_bits[p * record_width(d, spin_width(rows)) + hash_place(d)] != rows.state[log.changed[p], TRAJECTORY_HASH]

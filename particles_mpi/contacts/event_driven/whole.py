@@ -37,11 +37,11 @@ class Whole:
         with self.timers("pairs"):
             if self.version != p.version or engine.expiries > MOST_EXPIRIES * len(p):
                 speed = fastest(p.position, p.velocity)
-                require_finite(self.ranks, p, speed, f"t = {moment:g}")
+                self.check(speed, moment)
                 self.reload(speed * h)
         with self.timers("search"):
             moved, speed = engine.start_drift(p, self.own_rows)
-            require_finite(self.ranks, p, speed, f"t = {moment:g}")
+            self.check(speed, moment)
             if moved:
                 self.reload(speed * h)
                 engine.start_drift(p, self.own_rows)
@@ -60,6 +60,10 @@ class Whole:
     def rows_of_rank(self) -> Array:
         """Where the particles of this rank are among all."""
         return self.own_rows if self.ranks.size == 1 else self.replica.row_of[self.replica.particles.id]
+
+    def check(self, speed: float, moment: float) -> None:
+        """Raise where the largest speed shows that a number is not finite."""
+        require_finite(self.ranks, self.particles, speed, f"t = {moment:g}")
 
     def check_way(self, longest: float, moment: float) -> None:
         """Raise where the fastest particle would leave its neighbourhood again and again for minutes, on the way of a drift."""

@@ -14,6 +14,7 @@ import numpy as np
 from particles_mpi.contacts.event_driven.arrivals import apply_moves, reconcile, roll_back, verify
 from particles_mpi.contacts.event_driven.engine import MOST_EXPIRIES, Engine
 from particles_mpi.contacts.event_driven.event_loop import COLLISIONS, WALL_HITS
+from particles_mpi.contacts.event_driven.messages import message_of
 from particles_mpi.contacts.event_driven.partition import Partition
 from particles_mpi.contacts.event_driven.regions import Moves
 from particles_mpi.kernels.geometry import Box
@@ -52,6 +53,10 @@ class Windows:
         self.length = 0.0  # of the next one
         self.growing = True
         self.verified = 0, 0  # `count` and `redone` when the depth was last fitted
+
+    @property
+    def searches(self) -> int:
+        return self.partition.searches
 
     def drift(self, h: float, moment: float) -> Array | None:
         """(collisions, wall hits, missed) of this rank, or None where it cannot be done; then nothing has changed. Collective."""
@@ -139,8 +144,8 @@ class Windows:
             engine.run(begin, until, moment)
         with self.timers("ghosts"):
             moves = part.plan_moves()
-            changes = [part.changes_for(number, moves) for number in range(len(part.neighbours))]
-            message = sendrecv(ranks, part.neighbours, changes)  # what happened elsewhere to rows that are here too
+            changes = [part.changes_for(bit, moves) for bit in range(len(part.neighbours))]
+            message = message_of(sendrecv(ranks, part.neighbours, changes))  # what happened elsewhere to rows that are here too
             rows, directory, regions = tuple(engine.rows), tuple(part.directory), tuple(part.regions)
             wrong, differing = verify(rows, tuple(engine.lists.arrays), directory, tuple(log), regions, begin, message)
         with self.timers("agree"):
@@ -163,13 +168,13 @@ class Windows:
         engine.work.counts[:] = before
         self.redone += 1
 
-    def accept(self, message: Array, differing: Array, moves: Moves) -> None:
+    def accept(self, message: tuple[Array, Array], differing: Array, moves: Moves) -> None:
         """The window is right: correct the other ghosts, and let rows come, go and change owners."""
         engine, part, at = self.engine, self.partition, 0
         rows, directory, regions = tuple(engine.rows), tuple(part.directory), tuple(part.regions)
         pending = reconcile(rows, directory, tuple(engine.log), message, differing, tuple(moves), regions, engine.work.stale)
         stale_count = np.array([pending])
-        while at < len(message):
+        while at < len(message[0]):
             at, short = apply_moves(
                 engine.axes, tuple(engine.rows), tuple(engine.lists.arrays), tuple(engine.queue), tuple(part.directory),
                 regions, message, at, part.skin, engine.work.stale, stale_count,

@@ -1,4 +1,4 @@
-"""Rows are found by id in tables whose size depends on the rows here, and it is known which ranks must hold a row."""
+"""Rows are found by id in tables whose size depends on the rows here, and ranks that hold a row by bits of the known ones."""
 
 import numpy as np
 from hypothesis import given
@@ -6,7 +6,9 @@ from hypothesis import strategies as st
 from numba import njit
 
 from particles_mpi.contacts.event_driven.id_table import NO_ROW, drop, put, row_of, rows_of_ids, table_of
+from particles_mpi.contacts.event_driven.messages import add_holder, holds, ownership
 from particles_mpi.contacts.event_driven.regions import Regions, mark_holders
+from particles_mpi.contacts.event_driven.rows import OWN, SHARED
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.neighbours.verlet_kernels import SIZE
 
@@ -38,8 +40,8 @@ def test_a_table_finds_what_is_in_it(first, then):
     assert rows_of_ids(table, names).tolist() == [expected.get(name, NO_ROW) for name in names.tolist()]
 
 
-def test_a_particle_is_known_to_the_ranks_within_reach():
-    """100 regions of width 1 in a row."""
+def test_more_known_ranks_than_bits_in_a_word():
+    """100 regions of width 1 in a row: a particle is known to those within reach, on either side of the 64th."""
     ranks, d, depth = 100, 1, 2.0
     low = np.arange(ranks, dtype=float)[:, None]
     me = 40
@@ -48,7 +50,13 @@ def test_a_particle_is_known_to_the_ranks_within_reach():
     regions = tuple(Regions(low, low + 1.0, box, me, known, 1.0, 0.1, depth))
     reference = np.zeros((3, d + SIZE + 1))
     reference[:, 0] = [10.5, 64.5, 99.5]
-    holders = np.zeros((3, ranks), bool)
+    holders = np.zeros((3, ranks // 64 + 1), np.int64)
     mark_holders(reference, np.arange(3, dtype=np.int32), regions, holders)
-    found = [set(known[holders[row]].tolist()) for row in range(3)]
+    found = [{int(known[bit]) for bit in range(ranks) if holds(holders, row, bit)} for row in range(3)]
     assert found == [{8, 9, 10, 11, 12}, {62, 63, 64, 65, 66}, {97, 98, 99}]
+    alone = np.zeros((1, 2), np.int64)
+    here = len(known) - 1
+    add_holder(alone, 0, here)
+    assert ownership(alone, 0, here) == OWN
+    add_holder(alone, 0, 3)
+    assert ownership(alone, 0, here) == SHARED

@@ -74,5 +74,5 @@ def test_open_space_has_as_many_cells_as_a_box():
         )
         sim = Simulation(scene)
         sim.step()
-        cells.append(sim.drift.operator.whole.engine.lists.arrays.linked[-1][2].prod(axis=1).max())
+        cells.append(sim.drift.operator.whole.engine.lists.arrays.grid[2].prod(axis=1).max())
     assert cells[0] == cells[1] > 50
