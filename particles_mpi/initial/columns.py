@@ -55,7 +55,8 @@ class Columns:
         Collective.
         """
         if isinstance(value, dict) and "file" in value:
-            table, ranks = share.files[name], self.ranks  # which ranks have read in order: rows go to who builds their particles
+            # Ranks have read the rows of the file in order: each row goes to the rank that builds its particle
+            table, ranks = share.files[name], self.ranks
             first = share.begin + table.first
             owner = ranks.sharer(self.total, np.arange(first, first + len(table.values)))
             rows = send_rows(ranks, {"values": table.values}, *by_destination(owner, ranks.size))[0]["values"]

@@ -184,7 +184,9 @@ class Trajectory(Continuing):
             raise
 
     def _flush(self) -> None:
-        """Where files must not be that long it fails here: HDF5 would first write into the file that it is, and then fail."""
+        """Have HDF5 write what it holds back. A file of one writer is lengthened first: if a limit on the size of files forbids
+        that, it fails before HDF5 has written into the file that it is longer.
+        """
         if not self.parallel and os.stat(self.path).st_size < (size := self.file.id.get_filesize()):
             try:
                 os.truncate(self.path, size)
