@@ -20,6 +20,7 @@ import numpy as np
 
 from particles_mpi.errors import StoppedError
 from particles_mpi.output import layout
+from particles_mpi.output.file_length import chunk_bytes, lengthen, make_room
 from particles_mpi.output.files import (
     FILE_PATIENCE,
     Continuing,
@@ -70,6 +71,7 @@ class Trajectory(Continuing):
         self.row_bytes = row_bytes(*frame.values())
         self.parallel = ranks.size > 1 and bool(h5py.get_config().mpi)
         self.datasets: dict[str, Any] = {}
+        self.chunk_bytes = 0  # of all of them, when they were opened
         self.frames, self.parts, self.points = 0, [total], 0  # so far; N of each part; rows of all frames
         self.failed = self.continued = False
         super().__init__(path, ranks, resume_step, last)
@@ -101,6 +103,7 @@ class Trajectory(Continuing):
         if self.file is not None:
             names = (*self.columns, *layout.STEPS, *layout.PARTS, *(f"Vertices/{what}" for what in layout.CELLS))
             self.datasets = {name: self.file[f"VTKHDF/{name}"] for name in names}
+            self.chunk_bytes = chunk_bytes(self.datasets.values())
         if self.ranks.size == 1:
             SHOW[self.path.resolve()] = self.show
 
@@ -150,7 +153,7 @@ class Trajectory(Continuing):
             if self.shown < self.frames:
                 before, after = (self._close, self._open) if self.parallel else (self._flush, self._flush)
                 with OPENING:
-                    self._do(self.step, [before, self._raise_count, after])
+                    self._do(self.step, [self._lengthen, before, self._raise_count, after])
                 self.shown, self.shown_at = self.frames, perf_counter()
 
     def wait_for_disk(self) -> None:
@@ -183,15 +186,15 @@ class Trajectory(Continuing):
                 atexit.register(_leave)
             raise
 
+    def _lengthen(self) -> None:
+        """Let the file be as long as it is about to say; see `file_length`."""
+        if not self.parallel:
+            lengthen(self.path, self.file)
+        elif self.ranks.is_root:
+            make_room(self.path, chunk_bytes(self.datasets.values()) - self.chunk_bytes)
+
     def _flush(self) -> None:
-        """Have HDF5 write what it holds back. A file of one writer is lengthened first: if a limit on the size of files forbids
-        that, it fails before HDF5 has written into the file that it is longer.
-        """
-        if not self.parallel and os.stat(self.path).st_size < (size := self.file.id.get_filesize()):
-            try:
-                os.truncate(self.path, size)
-            except OSError as error:
-                raise OSError(error.strerror) from error
+        """Have HDF5 write what it holds back."""
         self.file.flush()
 
     def _close(self) -> None:

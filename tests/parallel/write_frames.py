@@ -7,7 +7,9 @@ import argparse
 import os
 import resource
 import signal
+import struct
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -56,6 +58,24 @@ def owned(ranks: Communicator, arrays: dict[str, np.ndarray], step: int) -> dict
     return {name: array[mine] for name, array in arrays.items()}
 
 
+class Watched(Trajectory):
+    """Before HDF5 writes how long the file is, it must be so long: the run may be killed at any moment."""
+
+    def _close(self) -> None:
+        self.look(super()._close)
+
+    def _flush(self) -> None:
+        self.look(super()._flush)
+
+    def look(self, write: Callable[[], None]) -> None:
+        before = self.path.stat().st_size
+        write()
+        if self.ranks.is_root:
+            with open(self.path, "rb") as file:
+                (told,) = struct.unpack_from("<Q", file.read(48), 40)  # of a superblock of version 0
+            assert before >= told, f"the file is said to have {told} bytes, and had {before}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
@@ -74,7 +94,7 @@ def main() -> None:
     if options.limit:  # stands for a full disk
         resource.setrlimit(resource.RLIMIT_FSIZE, (options.limit, options.limit))
     try:
-        trajectory = Trajectory(options.folder / "trajectory.vtkhdf", ranks, SHOWN, d, n, options.resume)
+        trajectory = Watched(options.folder / "trajectory.vtkhdf", ranks, SHOWN, d, n, options.resume)
         diagnostics = Diagnostics(options.folder / "diagnostics.csv", ranks, ["step", "time", "particles"], options.resume)
         writers = [trajectory, diagnostics]
         if not options.no_vtk:

@@ -1,0 +1,41 @@
+"""Keeps an HDF5 file at least as long as it says that it is.
+
+HDF5 writes into the first bytes of a file how long it is, and lengthens it afterwards. A file that is shorter than it says
+cannot be opened: so it would be if a run were killed in between, or if a limit on the size of files forbade that length.
+"""
+
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+TABLES_BYTES = 2**20  # what HDF5's tables take besides, at most: their smallest parts are much smaller
+
+
+def chunk_bytes(datasets: Iterable[Any]) -> int:
+    """How many bytes of the file the chunks of these datasets take, which are whole in it."""
+    return sum(-(-data.shape[0] // data.chunks[0]) * int(np.prod(data.chunks)) * data.dtype.itemsize for data in datasets)
+
+
+def lengthen(path: Path, file: h5py.File) -> None:
+    """Make a file that this process alone has open as long as HDF5 is about to say that it is."""
+    if os.stat(path).st_size < (size := file.id.get_filesize()):
+        try:
+            os.truncate(path, size)
+        except OSError as error:
+            raise OSError(error.strerror) from error
+
+
+def make_room(path: Path, new_chunks: int) -> None:
+    """Make a file that several ranks have open longer than HDF5 is about to say that it is: on one rank, while none writes.
+
+    new_chunks: bytes of the chunks that are new since the file was opened. Parallel HDF5 does not tell how long the file will be.
+    It gets twice the room of these chunks, for tables too; HDF5 cuts off what it does not need when the file is closed.
+    """
+    if new_chunks:
+        with suppress(OSError):  # a limit between that length and what is needed is no fault: HDF5 will see
+            os.truncate(path, os.stat(path).st_size + 2 * new_chunks + TABLES_BYTES)
