@@ -6,6 +6,7 @@ In the order in which to read them:
 - `files`: what all writers share: errors on all ranks together, the columns of a frame
 - `layout`: how frames lie in the HDF5 file that ParaView opens
 - `file_length`: keeps that file at least as long as it says that it is
+- `frame_rows`: writes rows of frames into a column of that file
 - `trajectory`: appends all frames of a run to that file
 - `read_frames`: reads frames back, also while a run writes them
 - `vtk`: the same frames as one VTK file each, or as several pieces where they are large

@@ -15,7 +15,13 @@ from particles_mpi.output.replacing import replacing
 CELL_KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are vertices, there are no others
 PARTS = ("NumberOfPoints", *(f"{kind}/{what}" for kind in CELL_KINDS for what in ("NumberOfCells", "NumberOfConnectivityIds")))
 CELLS = ("Connectivity", "Offsets")  # the point of each cell, and where each cell begins
-STEPS_CHUNK = 1024  # frames
+# HDF5 finds a chunk in tables of 64; a table that is full is divided into two, and for the tenths of a millisecond in which it
+# writes them frames cannot be found: for ever, if the run is killed then. So a run as planned has fewer chunks, within limits.
+CHUNKS = 60
+LEAST_ROWS = 256, 65536  # of a chunk of columns: a frame, within these limits;
+MOST_ROWS, MOST_FRAMES = 2**21, 4  # at most so many, or frames where these are larger,
+MOST_BYTES = 2**31  # and never more: HDF5 takes chunks below 2^32. What is not written yet is a hole
+LEAST_STEPS, MOST_STEPS, PARTS_ROWS = 1024, 16384, 64  # rows of a chunk of Steps, which is filled at once, and of parts
 TOPOLOGY_BLOCK = 2**20  # rows of the topology that are written at once
 # Datasets with a row for each frame: (shape of a row, dtype, fill value). `Step` is an addition, which VTK ignores.
 STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
@@ -30,23 +36,26 @@ STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
 ColumnShapes = dict[str, tuple[tuple[int, ...], Any]]  # of a frame, by place in the file: (shape of a row, dtype)
 
 
-def create(path: Path, columns: ColumnShapes, total: int) -> None:
-    """Make a file without frames, for frames of `total` particles first."""
+def create(path: Path, columns: ColumnShapes, total: int, frames: int) -> None:
+    """Make a file without frames, for frames of `total` particles first, so many of them if all goes as planned."""
     with replacing(path) as part, h5py.File(part, "w", locking=False) as file:
         group = file.create_group("VTKHDF")
         group.attrs["Version"] = np.array([2, 0], np.int64)
         group.attrs["Type"] = np.bytes_("PolyData")  # fixed length: the reader refuses variable ones
-        chunk = int(np.clip(total, 256, 65536))
+        widest = max(int(np.prod(width)) * np.dtype(dtype).itemsize for width, dtype in columns.values())
+        most = min(max(MOST_ROWS, MOST_FRAMES * total), MOST_BYTES // widest)
+        chunk = int(np.clip(total * frames // CHUNKS + 1, np.clip(total, *LEAST_ROWS), most))
+        steps_chunk = int(np.clip(frames // CHUNKS + 1, LEAST_STEPS, MOST_STEPS))
         for place, (width, dtype) in columns.items():
             _dataset(group, place, (0, *width), dtype, chunk)
         for place in PARTS:
-            _dataset(group, place, (1,), "int64", 1, fill=row_of_part(place, total))
+            _dataset(group, place, (1,), "int64", PARTS_ROWS, fill=row_of_part(place, total))
         for kind in CELL_KINDS:
             for extra, what in enumerate(CELLS):
                 rows = (total if kind == "Vertices" else 0) + extra
-                count_up(_dataset(group, f"{kind}/{what}", (rows,), "int64", chunk), 0, rows)
+                count_up(_dataset(group, f"{kind}/{what}", (rows,), "int64", max(rows, LEAST_ROWS[0])), 0, rows)
         for place, (width, kind, fill) in STEPS.items():
-            _dataset(group, place, (0, *width), kind, STEPS_CHUNK, fill=fill)
+            _dataset(group, place, (0, *width), kind, steps_chunk, fill=fill)
         group["Steps"].attrs["NSteps"] = np.int64(0)
         for place in columns.keys() - {"Points"}:  # all columns begin where the points do: hard links to one dataset
             group[place.replace("PointData/", "Steps/PointDataOffsets/")] = group["Steps/PointOffsets"]

@@ -30,6 +30,7 @@ from particles_mpi.output.files import (
     mpi_io_errors,
     open_everywhere,
 )
+from particles_mpi.output.frame_rows import write_frames, write_rows
 from particles_mpi.output.read_frames import OPENING, SHOW
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.exchange import IdRange, in_id_order
@@ -51,7 +52,8 @@ class Trajectory(Continuing):
     """Writer of `trajectory.vtkhdf`; every method is collective.
 
     path: the file; frames up to `resume_step` are kept, and the last one kept must have `last_count` particles (`total` if
-    that is None). fields: names of those that each frame shows. total: N at the start, of all ranks.
+    that is None). fields: names of those that each frame shows. total: N at the start, of all ranks. planned: how many frames
+    there will be, if all goes as planned.
     """
 
     def __init__(
@@ -64,8 +66,9 @@ class Trajectory(Continuing):
         resume_step: int | None = None,
         last: int | None = None,
         last_count: int | None = None,
+        planned: int = 1,
     ):
-        self.dimension, self.last_count = dimension, total if last_count is None else last_count
+        self.dimension, self.last_count, self.planned = dimension, total if last_count is None else last_count, planned
         frame = frame_arrays({name: default_values(name, 0, dimension) for name in fields}, dimension)
         self.columns = {layout.place_of(name): (rows.shape[1:], rows.dtype) for name, rows in frame.items()}
         self.row_bytes = row_bytes(*frame.values())
@@ -213,24 +216,14 @@ class Trajectory(Continuing):
         """Write this rank's rows of a column of several frames of equal size, from row `first` of the file on.
 
         A single frame is a range of the file for each rank, which it writes alone, in half the time. Several have many small
-        ranges: that call is collective, and ranks without rows take part too.
+        ranges, which all ranks write together.
         """
-        total, rows = self.parts[-1], len(frames[0])
-        dataset = self.datasets[place].id  # of HDF5 itself: a frame of a few bodies is nothing but calls
-        width = frames[0].shape[1:]
-        dataset.set_extent((self.points + len(frames) * total, *width))
-        if total == 0:
-            return
-        values = frames[0] if len(frames) == 1 else np.concatenate(frames)
-        space = dataset.get_space()
-        memory = h5py.h5s.create_simple(values.shape)
-        if rows:
-            zeros, ones = (0,) * len(width), (1,) * len(width)
-            space.select_hyperslab((first, *zeros), (len(frames), *ones), (total, *ones), (rows, *width))
-        else:
-            space.select_none()
-            memory.select_none()
-        dataset.write(memory, space, values, dxpl=self.collective if len(frames) > 1 else None)
+        total, dataset = self.parts[-1], self.datasets[place].id
+        dataset.set_extent((self.points + len(frames) * total, *frames[0].shape[1:]))
+        if len(frames) == 1:
+            write_rows(dataset, first, frames[0])
+        elif total:
+            write_frames(dataset, first, total, frames, self.collective)
 
     def _append_part(self, parts: int, count: int) -> None:
         """From here on frames have `count` particles: the last of `parts`; the topology grows if there were never so many.
@@ -272,7 +265,7 @@ class Trajectory(Continuing):
         if self.continued:
             layout.shorten(self.path, self.columns, self.frames, self.points, len(self.parts))
         else:
-            layout.create(self.path, self.columns, self.parts[0])
+            layout.create(self.path, self.columns, self.parts[0], self.planned)
 
     def read_kept(self, resume_step: int, last: int | None) -> None:
         """How many frames of the old file are kept; the last of them must have `last_count` particles."""
