@@ -9,6 +9,7 @@ help() {
 ./run.sh                 set up, then the main job: particles_mpi/scenes/marbles.toml on 2 ranks, into out/marbles
 ./run.sh test [...]      set up, then the tests of every feature, three at once (arguments go to pytest: tests/unit, -k WORD)
 ./run.sh test --all      the same and all that takes longer: more ranks, long physics, kills
+./run.sh test --search   the same and a search for faults in many more scenes at random, some of them new each time
 ./run.sh lint            ruff (rules and format) and mypy
 ./run.sh setup           only set up
 ./run.sh view DIR        writes DIR/view.html, a page that shows the run in that folder, and opens it

@@ -19,20 +19,25 @@ __all__ = ["ROOT", "environment", "run_ranks"]
 
 def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="run the slow tests too: many ranks, long physics, kills")
+    parser.addoption("--search", action="store_true", help="look for faults in many more scenes at random, some new each time")
 
 
 def pytest_configure(config):
-    """Property tests have no limit of time for an example; only with --all they look for examples that are new each time."""
-    settings.register_profile("here", deadline=None, derandomize=not config.getoption("--all"))
+    """Property tests have no limit of time for an example; only with --search they look for examples that are new each time."""
+    settings.register_profile("here", deadline=None, derandomize=not config.getoption("--search"))
     settings.load_profile("here")
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave out what is slow, unless --all asks for it."""
-    left_out = [] if config.getoption("--all") else [item for item in items if item.get_closest_marker("slow")]
-    if left_out:
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if not item.get_closest_marker("slow")]
+    """Leave out what takes long, unless --all or --search asks for it."""
+    asked = {"slow": config.getoption("--all"), "search": config.getoption("--search")}
+
+    def left_out(item):
+        return any(item.get_closest_marker(name) for name, wanted in asked.items() if not wanted)
+
+    if deselected := [item for item in items if left_out(item)]:
+        config.hook.pytest_deselected(items=deselected)
+        items[:] = [item for item in items if not left_out(item)]
 
 
 def pytest_collection_finish():

@@ -18,7 +18,7 @@ from conftest import run_ranks
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from random_scenes import random_scenes
-from with_all import with_all
+from with_all import with_all, with_search
 
 from particles_mpi import Scene, SceneError, Simulation
 from particles_mpi.errors import StateError
@@ -101,7 +101,9 @@ def test_changed_on_ranks_is_the_same_as_on_one(results, ranks):
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize(("seed", "count", "on_three"), [(31, 9, 4), *with_all(*((*one, 1) for one in ((31, 20), *MORE)))])
+@pytest.mark.parametrize(
+    ("seed", "count", "on_three"), [(31, 9, 4), *with_all((31, 20, 1)), *with_search(*((*one, 1) for one in MORE))]
+)
 def test_random_scenes_that_are_changed(seed, count, on_three, tmp_path):
     """A copy and a fresh start take the same steps, and so do two ranks, and three for one case of so many; or all refuse it."""
     rng = np.random.default_rng(seed)

@@ -11,13 +11,13 @@ import pytest
 from any_scene import any_scene, assert_same_bits, assert_same_physics, columns
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from with_all import with_all
+from with_all import with_search
 
 from particles_mpi import Scene, Simulation
 
 SEEDS = st.integers(0, 2**32 - 1)
 PHASES = (Phase.reuse, Phase.generate)  # a smaller seed is no smaller scene
-parts = pytest.mark.parametrize("part", [0, *with_all(*range(1, 9))])  # each looks for other examples with --all
+parts = pytest.mark.parametrize("part", [0, *with_search(*range(1, 9))])  # each looks for other examples
 
 
 def same(value, step):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from random_scenes import random_scenes
-from with_all import with_all
+from with_all import with_all, with_search
 
 from particles_mpi import Scene, Simulation
 
@@ -105,7 +105,9 @@ def test_units_change_no_bit(name):
     assert_same_in_units(SCENES[name], [(size[0] * (name != "adaptive"), *size[1:]) for size in UNITS.values()], 60)
 
 
-@pytest.mark.parametrize(("seed", "count", "axes"), [(41, 25, 3), *with_all(*((seed, 50, 4) for seed in range(41, 50)))])
+@pytest.mark.parametrize(
+    ("seed", "count", "axes"), [(41, 25, 3), *with_all((41, 50, 4)), *with_search(*((seed, 50, 4) for seed in range(42, 50)))]
+)
 def test_units_change_no_bit_of_random_scenes(seed, count, axes):
     for number, (_, tables, _) in enumerate(random_scenes(seed, count, axes)):
         if tables["time"]["integrator"] != "adaptive":

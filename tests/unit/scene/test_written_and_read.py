@@ -9,13 +9,13 @@ from any_scene import any_scene, columns
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from random_scenes import random_tables
-from with_all import with_all
+from with_all import with_search
 
 from particles_mpi import Run, Scene, SceneError, Simulation, StoppedError
 
 SEEDS = st.integers(0, 2**32 - 1)
 PHASES = (Phase.reuse, Phase.generate)  # a smaller seed is no smaller scene
-parts = pytest.mark.parametrize("part", [0, *with_all(*range(1, 9))])
+parts = pytest.mark.parametrize("part", [0, *with_search(*range(1, 9))])
 
 
 def scene_with_more(seed):
