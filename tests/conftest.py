@@ -53,9 +53,11 @@ SHARING = {
     "test_accuracy_study.py",
     "test_kernel_sources.py",
     "test_study_gravity.py",
+    "test_study_scaling.py",
     "test_time_stepped.py",
     "test_tree.py",
 }
+CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 RANKS = "tests/parallel"
 ENDED = {"test_nothing_lost.py", "test_one_rank_fails.py"}  # runs that are killed, or fail: they wait more than they compute
 ENDING = f"{RANKS}: runs that end early"
@@ -64,17 +66,18 @@ ENDING = f"{RANKS}: runs that end early"
 def group_of(nodeid):
     """One process gets all tests of a group: those of ENDED, the rest of tests/parallel, each of SHARING; others one by one.
 
-    Two ranks and one test beside them keep two cores busy; two such pairs at once wait for one another, and all take longer.
-    Tests of ENDED leave a core free most of the time.
+    Pairs of ranks at once would wait for one another. Tests of ENDED leave a core free most of the time. Those of `study scaling`
+    look at how many cores there are, which `pytest_runtest_setup` changes for tests of ranks.
     What compiles all kernels for an older processor takes one core for a minute or more, beside all else; those of four
     dimensions are compiled when they are needed, by one process instead of both at once.
     """
     path = nodeid.partition("::")[0]
     if nodeid.endswith(("[4]", "-4]")) and not path.startswith(RANKS):
         return "4D"
-    if path.startswith(f"{RANKS}/") and "older_processor" not in nodeid:
-        return ENDING if Path(path).name in ENDED else RANKS
-    return path if Path(path).name in SHARING else nodeid
+    name = Path(path).name
+    if path.startswith(f"{RANKS}/") and name not in SHARING and "older_processor" not in nodeid:
+        return ENDING if name in ENDED else RANKS
+    return path if name in SHARING else nodeid
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -98,13 +101,17 @@ def pytest_runtest_setup(item):
     """Ranks take turns often; and no other process is as urgent as those that exchange messages all the time.
 
     Beside one that wants a core for itself, and is as urgent, two ranks take four times as long; beside one as nice as can be 6 %
-    more.
+    more. Ranks that wait for others keep their cores busy. Where there are two cores, those of RANKS are on the first one, and
+    take 5 % longer: other tests have the second one meanwhile.
     """
-    ranks = group_of(item.nodeid) in (RANKS, ENDING)
+    group = group_of(item.nodeid)
+    ranks = group in (RANKS, ENDING)
     if ranks:
         take_turns_often()
     if on_a_worker(item.config):  # 19: as nice as can be
         os.nice(max((0 if ranks else 19) - os.getpriority(os.PRIO_PROCESS, 0), 0))
+        if len(CORES) == 2:
+            os.sched_setaffinity(0, CORES[:1] if group == RANKS else CORES)
 
 
 @pytest.fixture(scope="session", autouse=True)

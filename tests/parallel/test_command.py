@@ -12,12 +12,14 @@ import h5py
 import numpy as np
 import pytest
 from conftest import ROOT, environment, run_ranks
+from with_all import with_all
 
 from particles_mpi import Run, Scene, Simulation
 from particles_mpi.cli import check
 from particles_mpi.scene.memory import LIBRARIES
 
 pytestmark = pytest.mark.parallel
+STUDY = "study accuracy --only A --quick --output study"
 
 SCENE = """
 title = "test"
@@ -148,7 +150,7 @@ def test_counts_add_up(scene, tmp_path):
     assert told["collisions"] > 0 and told["ghost_rows"] > 0
 
 
-@pytest.mark.parametrize("words", ["run", "check", "--help", "run --help", "study accuracy --only A --quick --output study"])
+@pytest.mark.parametrize("words", ["run", "check", "--help", "run --help", *with_all(STUDY)])
 def test_who_stops_reading_what_is_printed_stops_nothing_else(scene, tmp_path, words):
     """As `| head -1` does: a run goes on to its end, and no command complains."""
     command, *more = words.split()

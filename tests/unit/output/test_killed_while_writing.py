@@ -2,6 +2,7 @@
 
 import io
 import os
+from itertools import pairwise
 from typing import NamedTuple
 
 import h5py
@@ -48,35 +49,49 @@ def frames_in(path):
     return count
 
 
-@pytest.mark.parametrize("frames", [5, 70])
+@pytest.mark.parametrize("frames", [5, 66])
 def test_killed_between_any_two_writes(frames, tmp_path, monkeypatch):
-    """70 frames: with a chunk for each, HDF5 would divide a table."""
-    path, ids, writes, shown = tmp_path / "trajectory.vtkhdf", IdRange(0, COUNT, COUNT), [], []
-    real, open_files = h5py.File, []
+    """While frames are written, and while the run is continued from a step before.
+
+    66: with a chunk for each frame, HDF5 would divide a table.
+    """
+    path, ids, writes, open_files = tmp_path / "trajectory.vtkhdf", IdRange(0, COUNT, COUNT), [], []
+    real = h5py.File
 
     def recorded(name, mode, locking):
         if mode == "r+":
             open_files.append(name := Recorder(name, writes))
         return real(name, mode)
 
+    def writer(resume_step=None):
+        return Trajectory(path, alone, ["id", "position", "velocity", "radius"], 3, COUNT, resume_step, planned=frames)
+
+    def write(run, first):
+        for k in range(first, frames):
+            x = np.full((COUNT, 3), float(k))
+            run.write(k, float(k), {"id": np.arange(COUNT), "position": x, "velocity": x + 0.5, "radius": x[:, 0] + 0.25}, ids)
+            run.show()
+            shown.append((len(writes), k + 1))
+        run.close()
+
+    alone, kept = Communicator.alone(), frames // 2
     monkeypatch.setattr(h5py, "File", recorded)
-    writer = Trajectory(path, Communicator.alone(), ["id", "position", "velocity", "radius"], 3, COUNT, planned=frames)
-    writer.open()
-    image = bytearray(path.read_bytes())
-    for k in range(frames):
-        x = np.full((COUNT, 3), float(k))
-        writer.write(k, float(k), {"id": np.arange(COUNT), "position": x, "velocity": x + 0.5, "radius": x[:, 0] + 0.25}, ids)
-        writer.show()
-        shown.append(len(writes))
-    writer.close()
+    run = writer()
+    run.open()
+    image, shown = bytearray(path.read_bytes()), [(len(writes), 0)]  # writes so far, and the frames that readers see then
+    write(run, 0)
+    run = writer(resume_step=kept - 1)
+    run.open()
+    shown.append((len(writes), kept))
+    write(run, kept)
     monkeypatch.undo()
     for file in open_files:
         file.close()
-    for number, (data, place, length) in enumerate(writes, 1):
-        image.extend(bytes(max(length - len(image), 0)))
-        image[place : place + len(data)] = data
-        before = sum(at <= number for at in shown)  # frames of which the run knows that readers see them
-        if before >= frames - 10:
-            (tmp_path / "killed").write_bytes(image)
-            assert before <= frames_in(tmp_path / "killed") <= before + 1
-    assert image == path.read_bytes() and shown[-1] > 10 * frames
+    for (begin, before), (end, after) in pairwise(shown):
+        for data, place, length in writes[begin:end]:
+            image.extend(bytes(max(length - len(image), 0)))
+            image[place : place + len(data)] = data
+            if before >= frames - 4 or after < before:
+                (tmp_path / "killed").write_bytes(image)
+                assert min(before, after) <= frames_in(tmp_path / "killed") <= max(before, after)
+    assert image[: path.stat().st_size] == path.read_bytes() and shown[-1][0] > 10 * frames
