@@ -18,9 +18,9 @@ CELLS = ("Connectivity", "Offsets")  # the point of each cell, and where each ce
 # HDF5 finds a chunk in tables of 64; a table that is full is divided into two, and for the tenths of a millisecond in which it
 # writes them frames cannot be found: for ever, if the run is killed then. So a run as planned has fewer chunks, within limits.
 CHUNKS = 60
-LEAST_ROWS = 256, 65536  # of a chunk of columns: a frame, within these limits;
-MOST_ROWS, MOST_FRAMES = 2**21, 4  # at most so many, or frames where these are larger,
-MOST_BYTES = 2**31  # and never more: HDF5 takes chunks below 2^32. What is not written yet is a hole
+LEAST_ROWS = 256, 65536  # of a chunk of columns: those of a frame, within these limits;
+MOST_BYTES, MOST_FRAMES = 2**26, 4  # at most so many, or frames where these are larger,
+HDF5_BYTES = 2**31  # but no more: HDF5 takes chunks below 2^32. What is not written yet is a hole in the file
 LEAST_STEPS, MOST_STEPS, PARTS_ROWS = 1024, 16384, 64  # rows of a chunk of Steps, which is filled at once, and of parts
 TOPOLOGY_BLOCK = 2**20  # rows of the topology that are written at once
 # Datasets with a row for each frame: (shape of a row, dtype, fill value). `Step` is an addition, which VTK ignores.
@@ -43,7 +43,7 @@ def create(path: Path, columns: ColumnShapes, total: int, frames: int) -> None:
         group.attrs["Version"] = np.array([2, 0], np.int64)
         group.attrs["Type"] = np.bytes_("PolyData")  # fixed length: the reader refuses variable ones
         widest = max(int(np.prod(width)) * np.dtype(dtype).itemsize for width, dtype in columns.values())
-        most = min(max(MOST_ROWS, MOST_FRAMES * total), MOST_BYTES // widest)
+        most = min(max(MOST_BYTES, MOST_FRAMES * total * widest), HDF5_BYTES) // widest
         chunk = int(np.clip(total * frames // CHUNKS + 1, np.clip(total, *LEAST_ROWS), most))
         steps_chunk = int(np.clip(frames // CHUNKS + 1, LEAST_STEPS, MOST_STEPS))
         for place, (width, dtype) in columns.items():

@@ -335,6 +335,20 @@ MUTATIONS = (
         "            by[~met] *= self.across_ranks",
         ("tests/parallel/test_same_bits.py", "-k", "elastic and attract and -2"),
     ),
+    Mutation(
+        "a trajectory says that it is longer than it is",
+        "output/trajectory.py",
+        "[self._lengthen, before, ",
+        "[before, ",
+        ("tests/parallel/test_output.py",),
+    ),
+    Mutation(
+        "a trajectory has many small chunks",
+        "output/layout.py",
+        "np.clip(total * frames // CHUNKS + 1, ",
+        "np.clip(total, ",
+        ("tests/unit/output/test_killed_while_writing.py",),
+    ),
 )
 
 
