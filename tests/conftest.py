@@ -67,7 +67,8 @@ def group_of(nodeid):
     """One process gets all tests of a group: those of ENDED, the rest of tests/parallel, each of SHARING; others one by one.
 
     Pairs of ranks at once would wait for one another. Tests of ENDED leave a core free most of the time. Those of `study scaling`
-    look at how many cores there are, which `pytest_runtest_setup` changes for tests of ranks.
+    look at how many cores there are, which `pytest_runtest_setup` changes for tests of ranks: so their ranks run beside them, and
+    less urgently.
     What compiles all kernels for an older processor takes one core for a minute or more, beside all else; those of four
     dimensions are compiled when they are needed, by one process instead of both at once.
     """

@@ -1,9 +1,11 @@
 """Keeps an HDF5 file at least as long as it says that it is.
 
-HDF5 writes into the first bytes of a file how long it is, and lengthens it afterwards. A file that is shorter than it says
-cannot be opened: so it would be if a run were killed in between, or if a limit on the size of files forbade that length.
+HDF5 writes into the first bytes of a file how long it is. It lengthens the file after that, and cuts it before. A file that is
+shorter than it says cannot be opened: so it would be if a run were killed in between, or if a limit on the size of files forbade
+that length.
 """
 
+import io
 import os
 from collections.abc import Iterable
 from contextlib import suppress
@@ -14,6 +16,22 @@ import h5py
 import numpy as np
 
 TABLES_BYTES = 2**20  # what HDF5's tables take besides, at most: their smallest parts are much smaller
+
+
+class Uncut(io.FileIO):
+    """A file for HDF5 to change that it cannot cut; `cut` does so when HDF5 has closed it."""
+
+    def __init__(self, path: Path):
+        super().__init__(path, "r+")
+        self.asked: int | None = None  # how long HDF5 wants it to be
+
+    def truncate(self, size: int | None = None) -> int:
+        self.asked = self.tell() if size is None else size
+        return super().truncate(self.asked) if self.asked > os.fstat(self.fileno()).st_size else self.asked
+
+    def cut(self) -> None:
+        if self.asked is not None:
+            super().truncate(self.asked)
 
 
 def chunk_bytes(datasets: Iterable[Any]) -> int:

@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from particles_mpi.output.file_length import Uncut
 from particles_mpi.output.replacing import replacing
 
 CELL_KINDS = ("Vertices", "Lines", "Polygons", "Strips")  # of cells: particles are vertices, there are no others
@@ -18,10 +19,12 @@ CELLS = ("Connectivity", "Offsets")  # the point of each cell, and where each ce
 # HDF5 finds a chunk in tables of 64; a table that is full is divided into two, and for the tenths of a millisecond in which it
 # writes them frames cannot be found: for ever, if the run is killed then. So a run as planned has fewer chunks, within limits.
 CHUNKS = 60
-LEAST_ROWS = 256, 65536  # of a chunk of columns: those of a frame, within these limits;
-MOST_BYTES, MOST_FRAMES = 2**26, 4  # at most so many, or frames where these are larger,
-HDF5_BYTES = 2**31  # but no more: HDF5 takes chunks below 2^32. What is not written yet is a hole in the file
-LEAST_STEPS, MOST_STEPS, PARTS_ROWS = 1024, 16384, 64  # rows of a chunk of Steps, which is filled at once, and of parts
+LEAST_ROWS = 256, 65536  # a chunk of a column has at least the rows of a frame, within these limits
+MOST_BYTES = 2**26  # and at most so many bytes (in the widest column; what is not written yet is a hole in the file),
+MOST_FRAMES = 4  # or so many frames, if they have more,
+HDF5_BYTES = 2**31  # and never more than that: HDF5 takes chunks below 2^32
+LEAST_STEPS, MOST_STEPS = 1024, 16384  # rows of a chunk of Steps, which is filled when it is made
+PARTS_ROWS = 64  # rows of a chunk of PARTS
 TOPOLOGY_BLOCK = 2**20  # rows of the topology that are written at once
 # Datasets with a row for each frame: (shape of a row, dtype, fill value). `Step` is an addition, which VTK ignores.
 STEPS: dict[str, tuple[tuple[int, ...], str, int]] = {
@@ -84,13 +87,15 @@ def frames_up_to(path: Path, resume_step: int, columns: ColumnShapes, last_count
 
 def shorten(path: Path, columns: ColumnShapes, frames: int, points: int, parts: int) -> None:
     """Remove all but the first frames: so many, of so many points and parts."""
-    with h5py.File(path, "r+", locking=False) as file:
-        group = file["VTKHDF"]
-        group["Steps"].attrs.modify("NSteps", np.int64(frames))
-        file.flush()  # the count first, so that a reader never sees a frame that is gone
-        for places, rows in ((STEPS, frames), (columns, points), (PARTS, parts)):
-            for place in places:
-                group[place].resize(rows, axis=0)
+    with Uncut(path) as uncut:
+        with h5py.File(uncut, "r+") as file:
+            group = file["VTKHDF"]
+            group["Steps"].attrs.modify("NSteps", np.int64(frames))
+            file.flush()  # the count first, so that a reader never sees a frame that is gone
+            for places, rows in ((STEPS, frames), (columns, points), (PARTS, parts)):
+                for place in places:
+                    group[place].resize(rows, axis=0)
+        uncut.cut()
 
 
 def place_of(name: str) -> str:

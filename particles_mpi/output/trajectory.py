@@ -74,7 +74,7 @@ class Trajectory(Continuing):
         self.row_bytes = row_bytes(*frame.values())
         self.parallel = ranks.size > 1 and bool(h5py.get_config().mpi)
         self.datasets: dict[str, Any] = {}
-        self.chunk_bytes = 0  # of all of them, when they were opened
+        self.bytes_at_opening = 0  # of the chunks of all of them
         self.frames, self.parts, self.points = 0, [total], 0  # so far; N of each part; rows of all frames
         self.failed = self.continued = False
         super().__init__(path, ranks, resume_step, last)
@@ -101,12 +101,13 @@ class Trajectory(Continuing):
         if self.parallel:
             self.file = h5py.File(self.path, "r+", driver="mpio", comm=self.ranks.comm)
         elif self.ranks.is_root:
-            self.file = h5py.File(self.path, "r+", locking=False)  # no lock: viewers may look at a running job
+            # No lock: viewers may look at a running job. No cache: HDF5 would write whole chunks for each small frame
+            self.file = h5py.File(self.path, "r+", locking=False, rdcc_nbytes=0)
             self.count = h5py.h5a.open(self.file["VTKHDF/Steps"].id, b"NSteps")
         if self.file is not None:
             names = (*self.columns, *layout.STEPS, *layout.PARTS, *(f"Vertices/{what}" for what in layout.CELLS))
             self.datasets = {name: self.file[f"VTKHDF/{name}"] for name in names}
-            self.chunk_bytes = chunk_bytes(self.datasets.values())
+            self.bytes_at_opening = chunk_bytes(self.datasets.values())
         if self.ranks.size == 1:
             SHOW[self.path.resolve()] = self.show
 
@@ -194,7 +195,7 @@ class Trajectory(Continuing):
         if not self.parallel:
             lengthen(self.path, self.file)
         elif self.ranks.is_root:
-            make_room(self.path, chunk_bytes(self.datasets.values()) - self.chunk_bytes)
+            make_room(self.path, chunk_bytes(self.datasets.values()) - self.bytes_at_opening)
 
     def _flush(self) -> None:
         """Have HDF5 write what it holds back."""

@@ -57,7 +57,8 @@ class RunFiles:
         if "hdf5" in output.formats:
             from particles_mpi.output.trajectory import Trajectory
 
-            path, frames = self.folder / FRAMES_IN["hdf5"], about["plan"]["frames"]
+            path = self.folder / FRAMES_IN["hdf5"]
+            frames = max(about["plan"]["frames"], sim.scene.steps // output.every + 1)
             self.frames.append(Trajectory(path, ranks, list(self.shown()), d, sim.total, step, frame, last_count, frames))
         if "vtk" in output.formats:
             from particles_mpi.output.vtk import VtkSeries

@@ -336,11 +336,18 @@ MUTATIONS = (
         ("tests/parallel/test_same_bits.py", "-k", "elastic and attract and -2"),
     ),
     Mutation(
-        "a trajectory says that it is longer than it is",
+        "a trajectory of one writer says that it is longer than it is",
         "output/trajectory.py",
-        "[self._lengthen, before, ",
-        "[before, ",
-        ("tests/parallel/test_output.py",),
+        "            lengthen(self.path, self.file)\n",
+        "            pass\n",
+        ("tests/parallel/test_output.py", "-k", "1-200"),
+    ),
+    Mutation(
+        "a trajectory of several writers says that it is longer than it is",
+        "output/file_length.py",
+        "    if new_chunks:\n",
+        "    if not new_chunks:\n",
+        ("tests/parallel/test_output.py", "-k", "70000"),
     ),
     Mutation(
         "a trajectory has many small chunks",

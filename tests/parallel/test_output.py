@@ -20,6 +20,7 @@ pytestmark = pytest.mark.parallel
 
 CASES = [  # ranks, particles, dimension, options; rank 1 always owns none
     (1, 50, 3, []),
+    (1, 200, 3, []),  # the second frame begins a chunk and does not fill it
     (2, 700, 3, []),
     (3, 700, 2, []),
     (3, 2, 3, []),
