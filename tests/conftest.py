@@ -111,8 +111,10 @@ def pytest_runtest_setup(item):
         take_turns_often()
     if on_a_worker(item.config):  # 19: as nice as can be
         os.nice(max((0 if ranks else 19) - os.getpriority(os.PRIO_PROCESS, 0), 0))
-        if len(CORES) == 2:
-            os.sched_setaffinity(0, CORES[:1] if group == RANKS else CORES)
+        cores = CORES[:1] if group == RANKS else CORES
+        if len(CORES) == 2 and set(cores) != os.sched_getaffinity(0):
+            end_standing_ranks()  # they would keep the cores of when they were started
+            os.sched_setaffinity(0, cores)
 
 
 @pytest.fixture(scope="session", autouse=True)

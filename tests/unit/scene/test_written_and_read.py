@@ -175,7 +175,8 @@ def test_what_is_changed_before_a_run_is_as_if_it_had_been_started_so(part, seed
     changed(sim, other, rng)
     try:
         started = Simulation(Scene.from_dict(other))
-    except SceneError:  # as where spheres that are smaller and faster cross their diameter in a step
+    except SceneError as refused:  # spheres that are smaller now, and faster; a run that goes on with them tells of it
+        assert "cross more than their diameter in a step" in str(refused)
         reject()
     sims = {"changed": sim, "started": started}
     try:
