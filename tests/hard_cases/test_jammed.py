@@ -55,6 +55,29 @@ def test_elastic_spheres_without_room_stay_where_they_are(d, n, friction):
         assert now == pytest.approx(energy, rel=1e-10)
 
 
+@pytest.mark.parametrize(("mode", "friction"), [("event", 0.0), ("rewind", 0.1)])
+@pytest.mark.parametrize("n", [3, 6])
+def test_what_friction_presses_together_without_room_ends_its_step(n, mode, friction):
+    """Discs fly side by side, and `friction` slows light ones more. There were up to a million contacts of each in a step."""
+    places = [[R + 2.0 * R * k for k in cell] for cell in itertools.product(range(n), repeat=2)]
+    sim = Simulation(
+        Scene(
+            dimension=2,
+            seed=995,
+            box={"lower": [0.0, 0.0], "upper": [2.0 * R * n] * 2, "periodic": True},
+            time={"step": 0.003, "steps": 3},
+            particles=[{"position": places, "radius": R, "mass": {"min": 0.1, "max": 5.0}, "velocity": [-0.143, -0.58]}],
+            effects={"friction": {"strength": 0.5}, "collisions": {"mode": mode, "restitution": 0.3, "friction": friction}},
+        )
+    )
+    energy = sim.measure()["kinetic"]
+    for _ in range(3):
+        before = sim.totals["collisions"]
+        sim.step()
+        assert sim.totals["collisions"] - before <= 15_000 * n**2
+    assert sim.measure()["kinetic"] < energy and sim.totals["missed"] > 0 and "had no room" in " ".join(sim.remarks())
+
+
 @pytest.mark.parametrize("e", [0.0, 0.5])
 @pytest.mark.parametrize(("d", "n"), [(1, 4), (2, 3), (3, 2)])
 def test_lossy_spheres_without_room_lose_energy(d, n, e):
