@@ -1,4 +1,4 @@
-"""Moving, colliding particles in any dimension, on any number of MPI ranks.
+"""A simulator of moving, colliding particles in any dimension, on any number of MPI ranks.
 
 from particles_mpi import Run, Scene, Simulation
 Simulation(Scene.load("marbles.toml")).run("out/marbles")

@@ -1,4 +1,4 @@
-"""The program: signals first, so that none finds it with half of its imports done and leaves a traceback."""
+"""The entry point of the program. It handles signals before the imports, so that a signal during them leaves no traceback."""
 
 import gc
 import sys

@@ -1,4 +1,4 @@
-"""The time loop."""
+"""The class `Simulation`: a scene, its particles on all ranks, and the loop over time steps."""
 
 from pathlib import Path
 from typing import Any
@@ -21,18 +21,22 @@ from particles_mpi.scene.schema import Scene
 
 
 class Simulation(Saved):
-    """A scene in motion on the ranks of a communicator: `sim.step()` advances by `sim.h`, `sim.run()` to the end.
+    """A scene in motion on the ranks of a communicator: `sim.step()` advances it by `sim.h`, `sim.run()` to the end of the scene.
 
-    Between two steps the state belongs to the user, and what is changed counts from the next step on: the fields of
-    `sim.particles` (this rank's rows, see `ParticleView`), `sim.time`, `sim.h`, the options of `sim.effects[name]`; `sim.add`
-    and `sim.remove` change who is there. Going on is then the same, to the bit, as a new simulation of that state (`State`).
-    Raises SceneError for a scene that cannot be run and StoppedError when a state has lost its meaning, on all ranks.
-    An impossible value that a script writes into `particles` raises StateError on the rank where it was written; if nobody
-    catches it there, all ranks end.
+    Between two steps a user may change the state: the fields of `sim.particles` (the rows of this rank, see `ParticleView`),
+    `sim.time`, `sim.h` and the options of `sim.effects[name]`; `sim.add` and `sim.remove` add and remove particles. A change
+    counts from the next step on. The simulation then goes on with the same bits as a new one that begins with that state
+    (`State`).
+
+    Raises SceneError for a scene that cannot be run, and StoppedError if the state is no longer valid, both on all ranks. If a
+    script writes an impossible value into `particles`, StateError is raised on the rank where it did so; if it is not caught, all
+    ranks end.
     """
 
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
-        """`start`: all particles in id order on every rank, with the fields that the scene needs, instead of its own."""
+        """`comm`: an MPI communicator, by default that of all ranks. `start`: all particles in id order, the same on every rank,
+        with the fields that the scene needs, instead of those that the scene describes. Collective.
+        """
         if not isinstance(scene, Scene):
             raise TypeError(f"Simulation: {scene!r:.60} is no Scene; there are Scene.load(path) and Scene.from_dict(tables)")
         ranks = Communicator(comm)
@@ -53,20 +57,20 @@ class Simulation(Saved):
         self.steps_at_once(1, collisions)
 
     def steps(self, number: int) -> None:
-        """Advance by a number of steps: where `ManySteps` computes them, far faster than one by one. Collective."""
+        """Advance by `number` steps: much faster than by `step` where `ManySteps` computes them. Collective."""
         last = self.steps_done + whole_number("steps", number)
         while self.steps_done < last:
             self.step_towards(last)
 
     def step_towards(self, last: int) -> None:
-        """Advance by one step, or by as many as are computed at once, but not beyond step `last`. Collective."""
+        """Advance by one step, or by several where `ManySteps` computes them at once, but not beyond step `last`. Collective."""
         if self.many_steps and "step" not in vars(self):  # a user who put a function there wants it called for each
             self.steps_at_once(min([last, *(view.due(self.steps_done) for view in self.views)]) - self.steps_done)
         else:
             self.step()
 
     def steps_at_once(self, most: int, collisions: bool = True) -> None:
-        """Advance by one step, or by up to `most` if many are computed at once. Collective."""
+        """Advance by up to `most` steps where `ManySteps` computes them at once, otherwise by one. Collective."""
         self.take_changes()
         with self.stepping():
             done = self.many_steps.advance(self._h, self.steps_done, most) if self.many_steps and collisions else 0
@@ -79,9 +83,9 @@ class Simulation(Saved):
             view.after_step(self)
 
     def advance(self, h: float, contacts: bool = True, stop: bool = False) -> None:
-        """One step of the integrator over h, its kicks and drifts in order.
+        """Make one step of the integrator over a time h: its kicks and drifts, in order.
 
-        `contacts`: False lets particles pass through one another and through walls; `stop`: its drift ends at a collision.
+        `contacts`: if False, particles pass through one another and through walls. `stop`: the drift ends at the first collision.
         """
         if self.persistent:
             self.persistent.awake = contacts
@@ -96,13 +100,15 @@ class Simulation(Saved):
             self.calls[name] += 2
 
     def step_to_collision(self) -> tuple[int, int] | None:
-        """Advance to the next collision of two particles, or by one step if there is none before its end. Collective.
+        """Advance to the next collision of two particles, or by one step if there is none within it. Collective.
 
-        Returns the ids of the two that met, the lower one first, or None; `sim.time` is the moment. It is the end of a whole
-        leapfrog step of the length that ends with the contact, found by iteration where forces make that depend on itself; if
-        none does, for a contact begins to last within the step, None after a shorter step that ends there (`LengthSearch`).
-        Collisions at the same moment come one call after the other. Mode rewind, too, goes to it in exact order of time. A call
-        takes as long as a step, with forces as several, and every rank computes all of it: many collisions are for `step`.
+        Returns the ids of the two particles, the lower one first, or None. `sim.time` is then the time of the collision. The
+        state is that at the end of a whole step of the length with which it ends at the contact. Under forces the time of the
+        contact depends on that length, which is found by iteration. If there is no such length, because a contact begins to last
+        within the step, the call makes a shorter step that ends there, and returns None (`LengthSearch`). Collisions at the same
+        time are returned one by one, by further calls. In mode `rewind`, too, this drift follows the exact order of time. A call
+        takes as long as a step, with forces as several, and every rank computes all of it: where there are many collisions, use
+        `step`. Raises SceneError without collisions.
         """
         if self.active.pairs is None:
             raise SceneError("effects.collisions: step_to_collision needs it")
@@ -115,7 +121,7 @@ class Simulation(Saved):
         return met
 
     def advance_to_collision(self) -> tuple[int, int] | None:
-        """Do what `step_to_collision` says, after `take_changes`, within `stepping`; returns the ids of the two, or None."""
+        """Do what `step_to_collision` describes, after `take_changes`, within `stepping`; returns the two ids, or None."""
         exact, free = self.drift.exact, not (self.active.forces or self.active.on_velocities)
         search = LengthSearch(self.h)
         while True:
@@ -138,11 +144,11 @@ class Simulation(Saved):
         return met
 
     def run(self, output: str | Path | None = None, quiet: bool = True, **options: Any) -> None:
-        """Step to the end of the scene; with `output` (a folder) write everything the scene asks for. Collective.
+        """Step to the end of the scene; with `output` (a folder) write everything that the scene asks for. Collective.
 
-        `quiet=False` shows the plan, progress and phase table. Further options, with a folder: `overwrite=True` deletes what an
-        earlier run left there; `resumed=True` goes on with the run there, whose state this is; `steps`: the number of the step to
-        end with; `wall_time`: seconds after which a checkpoint is written and the run stops.
+        `quiet=False` prints the plan, the progress and the phase table. Further options, only with a folder: `overwrite=True`
+        deletes what an earlier run left there; `resumed=True` continues the run in that folder, of which this is the state;
+        `steps` is the number of the last step; after `wall_time` seconds the run writes a checkpoint and stops.
         """
         if output is not None:
             Job(self, Path(output), quiet=quiet, **options).run()
@@ -162,15 +168,15 @@ class Simulation(Saved):
         self.views.append(LiveView(self, every))
 
     def watch(self) -> None:
-        """Raises StateError if a particle is lost, astray or not a number. Collective; cheap."""
+        """Raise StateError if a particle is lost, outside, or not finite. Collective; cheap."""
         self.take_changes()
         with self.timers("watchdog"):
             self.watchdog.check(self.rows, self.steps_done)
 
     def measure(self, row: bool = False) -> dict[str, float]:
-        """Energies, momentum, largest speed of all particles, and observables if the scene has them. Collective.
+        """Return energies, momentum and largest speed of all particles, and observables if the scene has them. Collective.
 
-        Rates of observables are since the last call; for a `row` of diagnostics.csv, since the row before.
+        Rates of observables are those since the last call; for a `row` of diagnostics.csv, those since the row before.
         """
         self.take_changes()
         p = self.rows
@@ -187,14 +193,14 @@ class Simulation(Saved):
         return measured
 
     def counted(self) -> dict[str, int]:
-        """Work of this rank so far: searches for neighbours, ghosts, tests of pairs, interactions, windows of time."""
+        """Return the work of this rank so far: searches for neighbours, ghosts, tests of pairs, interactions, windows of time."""
         return {"interactions": self.accelerations.interactions, **self.drift.work()}
 
     def work(self) -> dict[str, int]:
-        """What has been computed so far, over all ranks, in units that no machine changes. Collective.
+        """Return the work of all ranks so far, in units that are the same on every machine. Collective.
 
-        forces: evaluations of all accelerations; interactions: of pairs, or of what a tree puts in their place; pair_tests:
-        contact times of two spheres in mode rewind; events: contacts with spheres and walls.
+        forces: evaluations of all accelerations; interactions: pairs, or tree interactions in their place, that forces have
+        computed; pair_tests: contact times of two spheres, in mode `rewind`; events: contacts with spheres and walls.
         """
         counted = self.counted()
         events = self.totals["collisions"] + self.totals["wall_hits"]
@@ -203,5 +209,5 @@ class Simulation(Saved):
         return {"forces": forces, "interactions": interactions, "pair_tests": pair_tests, "events": events}
 
     def remarks(self) -> list[str]:
-        """What happened that a user should know of, a line each. Collective."""
+        """Return what happened that a user should know, one line for each remark. Collective."""
         return self.drift.remarks()

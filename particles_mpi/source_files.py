@@ -1,7 +1,7 @@
-"""The files with sources of this program as they were when it started: code that it has loaded is of these.
+"""The source files of this program, as they were when the process started.
 
-Whatever is edited meanwhile, what a process compiles is of the files that it has read, and may not be kept for those that are
-there now.
+A process compiles the sources that it has read. If a file was edited since then, the compiled kernels must not be stored for the
+new version of the file.
 """
 
 import os

@@ -13,14 +13,16 @@ from particles_mpi.scene.schema import Scene
 
 
 class Options(Losses, EffectOptions):
-    """`mode`; `restitution` or `damping`; `passes` a step, in mode rewind.
+    """`mode` names the operator; `restitution` or `damping` is what a contact takes; `passes` is for a step in mode `rewind`.
 
     `allow_overlap`: spheres that overlap at the start are pushed apart, with a warning, instead of being refused.
 
-    `contact_duration` t_c, in mode event: a contact within t_c of the last one of either partner takes no energy (TC model). If
-    not given, t_c is a ten-thousandth of a step, and a contact takes none only if its particle has had many that followed one
-    another so soon, or at one moment: 8 under forces, more of few particles without (`contacts/README.md`).
-    `contact_tolerance`: where forces keep spheres in contact, by which part of a radius contacts may close in a step, as root
+    `contact_duration` t_c, in mode `event`: a contact within t_c of the last one of either partner takes no energy (TC model). If
+    it is not given, t_c is a ten-thousandth of a step. A contact then takes no energy only if its particle has had many contacts
+    that followed one another within t_c, or at one moment: 8 under forces, more if particles are few or there are no forces
+    (`contacts/README.md`).
+
+    `contact_tolerance`: where forces keep spheres in contact, the part of a radius by which contacts may close in a step, as root
     mean square.
     """
 
@@ -40,7 +42,7 @@ class Options(Losses, EffectOptions):
 
 
 class Effect(PairContacts):
-    """Pairs of spheres collide. The operator lives in `contacts/`; this names what it needs."""
+    """Collisions of pairs of spheres. The operators are in `contacts/`; this class holds the parameters that they need."""
 
     formula = "v_i -= (1+e) m_j/(m_i+m_j) (k.v_r) k at |x_i - x_j| = R_i + R_j"
     needs = Needs(divides_by_mass=True, integrators=FORWARD)

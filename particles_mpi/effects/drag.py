@@ -10,7 +10,7 @@ from particles_mpi.scene.model import NotNegative
 
 
 class Options(EffectOptions):
-    """`rate`: k (1/time) of the populations that give no `drag` of their own. Changed between steps, it is of all that had it."""
+    """`rate`: k (1/time) where a population gives no `drag`. A new rate between two steps replaces the old one."""
 
     rate: NotNegative = 0.0
 
@@ -27,7 +27,7 @@ class Effect(Damping):
         particles["drag"][particles["drag"] == before.rate] = after.rate
 
     def factors(self, particles: Particles, h: float) -> tuple[Array, Array]:
-        """One `math.exp` a distinct rate: a vectorised exp may round differently at the end of an array, that is by rank."""
+        """See `Damping.factors`. `math.exp`, once a distinct rate: a vectorised exp rounds differently at the end of arrays."""
         rates, which = np.unique(particles["drag"], return_inverse=True)
         decay = np.array([math.exp(-k * h) for k in rates])
         force_time = np.array([-math.expm1(-k * h) / k if k > 0.0 else h for k in rates])

@@ -14,7 +14,7 @@ class Options(EffectOptions):
 
 
 class Effect(ConstantFriction):
-    """friction(h/2) . force(h) . friction(h/2); what comes to rest within h, by a force below alpha, does so exactly."""
+    """Friction for h/2, force for h, friction for h/2. What stops within h, under a force below alpha, rests exactly."""
 
     formula = "m dv/dt = -alpha v/|v|"
     needs = Needs(divides_by_mass=True, integrators=("leapfrog",))

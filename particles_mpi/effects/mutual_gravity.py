@@ -1,4 +1,4 @@
-"""Mutual gravity: every particle attracts every other, fixed ones too; those without mass feel it and do not attract."""
+"""Mutual gravity: every particle that has a mass attracts every other one, also if it is fixed."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -25,12 +25,13 @@ PAIRS = 2 * 10**8  # at once
 
 
 class Options(EffectOptions):
-    """`G`, by default the scene's; `softening` eps (length): the force of a Plummer sphere of that size (Aarseth 1963).
+    """`G` is by default that of the scene; `softening` is the length eps, with which pairs attract as Plummer spheres (Aarseth
+    1963).
 
-    `method`: "direct", the sum over all pairs; "tree", Barnes and Hut's with `opening_angle` (0.5 if not given), the radius of a
-    cell over its distance, and a `multipole`, what cells act by: "quadrupole", which includes the mass, or "monopole", the mass
-    alone; "auto", whichever costs less for a median relative error of the forces of `accuracy` (1e-3 if not given), with
-    quadrupoles.
+    `method`: "direct" is the sum over all pairs. "tree" is the algorithm of Barnes and Hut: a cell acts as a whole if its radius
+    over its distance is below `opening_angle` (0.5 if not given); its `multipole` is a "quadrupole", which includes the mass, or
+    a "monopole", the mass alone. "auto" chooses the cheaper of the two whose forces have a median relative error of at most
+    `accuracy` (1e-3 if not given), with quadrupoles.
     """
 
     G: NotNegative | None = None
@@ -58,7 +59,7 @@ class Options(EffectOptions):
         return self.choice(scene, total).words
 
     def strength(self, scene: Scene) -> float:
-        """Its own G, or else that of the scene."""
+        """Return the effect's own G, or that of the scene if it has none."""
         return scene.G if self.G is None else self.G
 
     def choice(self, scene: Scene, total: int) -> Choice:
@@ -97,7 +98,7 @@ class Effect(Force):
         acceleration += self.G * self.sum.pull(particles)
 
     def potential(self, particles: Particles) -> Array:
-        """Half of each pair's energy, all of it where the partner is fixed, whose own share nobody counts. Collective."""
+        """Return (n,): half of each pair's energy; all of it if the partner is fixed and so not counted. Collective."""
         return self.G * particles.mass * self.sum.potential(particles)
 
 
@@ -130,7 +131,7 @@ class DirectSum:
         return result
 
     def potential(self, p: Particles) -> Array:
-        """Potential (n,), that of movable sources by half. Collective."""
+        """Return the potential (n,), to which movable sources add half of theirs. Collective."""
         at, ids = in_tiles(p.position), in_tiles(p.id)
         total = np.zeros((len(at), TILE))
         for block in blocks(self.ranks, {"id": p.id, "position": p.position, "mass": halved(p)}, self.ids):
@@ -148,9 +149,10 @@ def part_with(every: Array, ids: Array) -> slice:
 
 
 def slices(begin: int, end: int, each: int) -> Iterator[slice]:
-    """The numbers begin ... end - 1 in slices of at most PAIRS pairs, some tenths of a second; between them signals are checked.
+    """Yield slices of the numbers begin ... end - 1 with at most PAIRS pairs each (some tenths of a second); check signals before
+    each.
 
-    `each`: pairs that one number stands for.
+    `each`: how many pairs one number stands for.
     """
     many = max(1, PAIRS // max(each, 1))
     for first in range(begin, end, many):
@@ -159,7 +161,7 @@ def slices(begin: int, end: int, each: int) -> Iterator[slice]:
 
 
 class TreeSum:
-    """By a tree, for G = 1."""
+    """The sum by a tree; `pull` and `potential` are for G = 1."""
 
     def __init__(self, ranks: Communicator, dimension: int, angle: float, softening2: float, quadrupoles: bool):
         from particles_mpi.gravity.tree import Tree
@@ -178,14 +180,17 @@ class TreeSum:
         return result.acceleration[:, : particles.dimension]
 
     def potential(self, p: Particles) -> Array:
-        """Potential (n,), that of movable sources by half: half that of the last `pull` if none is fixed or moved. Collective."""
+        """Return the potential (n,), to which movable sources add half of theirs. Collective.
+
+        It is half of that of the last `pull`, if no particle is fixed and none has moved since.
+        """
         known = self.known == places_of(p) and not p.fixed.any()
         if self.ranks.all(known):
             return 0.5 * self.depth
         return self.sum(p, halved(p)).potential
 
     def sum(self, p: Particles, mass: Array) -> "TreeResult":
-        """What the tree gives, with the work of each row from the last time, as long as rows are the same."""
+        """Evaluate the tree; as long as rows stay the same, the work of each in the last call divides it among ranks."""
         if self.version != p.version:
             self.version, self.work = p.version, np.ones(len(p))
         result = self.tree.attract(p.id, p.position, mass, self.work)
@@ -194,5 +199,5 @@ class TreeSum:
 
 
 def halved(p: Particles) -> Array:
-    """Masses, those of movable particles by half: each of a pair then has its share of the energy."""
+    """Return masses (n,), halved for movable particles, so that each partner of a pair gets its share of the energy."""
     return p.mass * np.where(p.fixed != 0, 1.0, 0.5)

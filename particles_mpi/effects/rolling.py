@@ -1,4 +1,4 @@
-"""Resistance to rolling: contacts that last bear a couple against the rolling and spinning of their partners."""
+"""Resistance to rolling: a contact that lasts exerts a couple against the rolling and spinning of its partners."""
 
 from particles_mpi.scene.effect import EffectOptions, Force, Needs, RollingResistance
 from particles_mpi.scene.model import NotNegative
@@ -6,10 +6,10 @@ from particles_mpi.scene.schema import Scene
 
 
 class Options(EffectOptions):
-    """`resistance`: the length b in the largest couple b N of a contact with the normal force N; a part of a radius, as a rule.
+    """`resistance`: the length b, usually a part of a radius. The largest couple of a contact with the normal force N is b N.
 
-    Of constant magnitude, whatever the speed, and up to that at rest (Y. C. Zhou, B. D. Wright, R. Y. Yang, B. H. Xu
-    and A. B. Yu, Physica A 269, 536 (1999), their directional constant torque). It needs friction, without which nothing rolls.
+    The couple has that magnitude at any speed, and up to that at rest (Y. C. Zhou, B. D. Wright, R. Y. Yang, B. H. Xu and A. B.
+    Yu, Physica A 269, 536 (1999), their directional constant torque). It needs friction, without which nothing rolls.
     """
 
     resistance: NotNegative
@@ -23,7 +23,7 @@ class Options(EffectOptions):
 
 
 class Effect(RollingResistance):
-    """Acts in the solution for contacts that last; at hits, which are over at once, it has no time to act."""
+    """Acts in the solution for contacts that last. A hit is over at once, so the couple has no time to act in it."""
 
     formula = "|couple| <= b N, against the rolling of contacts that last"
     needs = Needs(divides_by_mass=True, integrators=("leapfrog",))

@@ -1,4 +1,4 @@
-"""Uniform gravity: dv/dt = g, the same for every particle (the course divides no mass into it, and must not)."""
+"""Uniform gravity: dv/dt = g, the same for every particle, whatever its mass."""
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class Effect(Force):
         acceleration += self.g
 
     def potential(self, particles: Particles) -> Array:
-        """-m g.x; not a number with a g along a periodic axis, on which there is no height."""
+        """Return -m g.x (n,); NaN if g has a component along a periodic axis, where there is no height."""
         if self.g[self.periodic].any():
             return np.full(len(particles), np.nan)
         return -particles.mass * row_dot(particles.position, self.g)

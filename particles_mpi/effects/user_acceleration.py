@@ -8,11 +8,11 @@ from particles_mpi.scene.schema import Scene
 
 
 class Options(EffectOptions):
-    """No keys: the accelerations stand in `[[particles]]`."""
+    """This table has no keys of its own: the accelerations are given in `[[particles]]`."""
 
 
 class Effect(Force):
-    """Adds a_i. (PBPhys cleared it after the first step; here it stays.)"""
+    """Adds a_i in every step. (PBPhys set it to 0 after the first step.)"""
 
     of_movable = True
     formula = "dv/dt = a_i"
@@ -26,7 +26,7 @@ class Effect(Force):
         acceleration += particles["acceleration"]
 
     def potential(self, particles: Particles) -> Array:
-        """-m a_i.x; not a number for one along a periodic axis, which gives its particle more energy at each turn."""
+        """Return -m a_i.x (n,); NaN where a_i has a component along a periodic axis, which adds energy in each turn."""
         a = particles["acceleration"]
         energy = -particles.mass * row_dot(particles.position, a)
         return np.where((a[:, self.periodic] != 0.0).any(axis=1), np.nan, energy)

@@ -18,15 +18,16 @@ from particles_mpi.scene.schema import Scene
 
 
 class Plane(Losses):
-    """`point` on the wall, `normal` into the free side (any length); `restitution` or `damping` if not the table's."""
+    """`point` on the wall, `normal` into the free side (of any length); losses that it does not give are those of the table."""
 
     point: list[float]
     normal: list[float]
 
 
 class Options(Losses, EffectOptions):
-    """`planes`, or every non-periodic face of the box; `restitution` or `damping`, `friction` and `tangential_restitution`, each
-    of those planes that do not give it."""
+    """`planes`: the walls, by default every face of the box that is not periodic. `restitution` or `damping`, `friction` and
+    `tangential_restitution` are for planes that do not give their own.
+    """
 
     planes: list[Plane] | None = None
 

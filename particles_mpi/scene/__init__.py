@@ -1,7 +1,9 @@
-"""What a scene file says, and the plan that follows from it.
+"""The scene file as a validated model, the kinds of effect, and the plan that follows from a scene.
 
-`schema` is the scene file as a model, `population` its tables `[[particles]]`; `model` is the base of all tables, what their
-keys may hold, and how faults are told.
-`effect` has the kinds of effect, `effect_files` loads them, `calls` calls what is in them, `losses` says what contacts take, and
-`active` sorts those that are switched on. `plan` says what a run will do, and `memory` what it needs for that.
+- `schema`: the scene file; `population`: its tables `[[particles]]`; `model`: the base class of all tables, and messages about
+  their faults
+- `effect`: the kinds of effect; `effect_files`: loads the files of effects; `calls`: calls their methods and reports errors in
+  them
+- `losses`: the keys for restitution, damping and friction; `active`: the effects that are switched on, sorted by kind
+- `plan`: what a run will do; `memory`: how much memory it will need
 """

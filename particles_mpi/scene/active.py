@@ -13,7 +13,11 @@ Kind = TypeVar("Kind", bound=kinds.Effect)
 
 
 class ActiveEffects:
-    """The effects of a scene by name, in its order, as attributes for each kind; with `switched_off` those not active too."""
+    """The effects of a scene, built from their options and sorted by kind; with `switched_off`, also those that are not active.
+
+    all: every effect by name, in the order of the scene; forces, flows, events: those of that kind, by name; damping, friction,
+    rolling, walls, pairs: the only one of its kind, or None; on_velocities: names of those that act on velocities in a kick.
+    """
 
     def __init__(self, scene: Scene, switched_off: bool = False):
         options = scene.effects if switched_off else scene.active
@@ -27,15 +31,15 @@ class ActiveEffects:
         self.on_velocities = self.names(kinds.Damping, kinds.ConstantFriction, kinds.VelocityFlow)  # those that act in a kick
 
     def of_kind(self, kind: type[Kind]) -> dict[str, Kind]:
-        """Those of one kind, by name."""
+        """Return the effects of one kind, by name."""
         return {name: effect for name, effect in self.all.items() if isinstance(effect, kind)}
 
     def one_of(self, kind: type[Kind]) -> Kind | None:
-        """The one of its kind, if there is one."""
+        """Return the only effect of this kind, or None if the scene has none."""
         return next(iter(self.of_kind(kind).values()), None)
 
     def bind(self, context: kinds.Context) -> None:
-        """Tell all effects of the ranks and ids there are. Collective."""
+        """Give all effects the context: ranks, ids, timers and the box. Collective."""
         for name, effect in self.all.items():
             asked(name, effect.bind, context)
 
@@ -67,24 +71,24 @@ class ActiveEffects:
 
     @property
     def keeps_contacts(self) -> bool:
-        """Are there forces that press particles together or onto walls, and contacts that take energy?"""
+        """Can contacts last? They can with leapfrog, if there are forces, and contacts that take energy."""
         return self.integrator == "leapfrog" and bool(self.forces) and self.lossy
 
     @property
     def conserves_energy(self) -> bool:
-        """Are forces that have a potential, and contacts that take no energy, all that changes velocities?"""
+        """Does nothing change velocities but forces that have a potential, and contacts that take no energy?"""
         known = all(type(force).potential is not kinds.Force.potential for force in self.forces.values())
         return known and not (self.on_velocities or self.events or self.lossy)
 
     @property
     def finishes_bounces(self) -> bool:
-        """Does the closing kick give something to contacts (`contacts.closing_kick`)?"""
+        """Does the closing kick complete the impulses of contacts (`contacts.closing_kick`)?"""
         depends = any(force.place_dependent for force in self.forces.values())
         return depends and self.integrator == "leapfrog" and bool(self.pairs or self.walls)
 
     @property
     def lossy(self) -> bool:
-        """Do contacts take energy? Particles can crowd together then, and have many contacts in a step."""
+        """Do contacts take energy? Particles can then crowd together, and have many contacts in a step."""
         return any(contact.lossy for contact in (self.pairs, self.walls) if contact is not None)
 
 

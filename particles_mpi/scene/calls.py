@@ -1,4 +1,4 @@
-"""Calls of the code of effects, which may be a user's: what goes wrong there is told with the name of the effect."""
+"""Calls the methods of effects, which may be a user's own. If one fails, the error names the effect."""
 
 import sys
 import traceback
@@ -13,12 +13,12 @@ from particles_mpi.scene.effect import Effect, EffectOptions, Event, Force, Velo
 
 
 def told(name: str, what: str, error: BaseException) -> str:
-    """The message about an error in the code of the effect of that name."""
+    """Return the message about an error in the code of effect `name`; `what` says which part of it failed."""
     return f"effects.{name}: {what}: {type(error).__name__}: {one_line(error)}"
 
 
 def faults_in(name: str, options: EffectOptions, scene: Any) -> list[str]:
-    """What is wrong with the options of the effect of that name in a scene, each beginning with its key in the scene file."""
+    """Return what is wrong with the options of effect `name` in a scene: lines that begin with the key in the scene file."""
     try:
         found: Any = options.faults(scene) or []
         return [f"effects.{name}.{fault}" for fault in ([found] if isinstance(found, str) else found)]
@@ -40,7 +40,7 @@ def built(name: str, options: EffectOptions, scene: Any) -> Any:
 
 
 def names_taken(effect: Any, dimension: int) -> list[str]:
-    """Attributes that an effect has set, though they are methods of its kind, or the `g` of a force and no (d,)."""
+    """Return attributes of an effect that replace a method of its kind, or, of a force, a `g` whose shape is not (d,)."""
     kinds = [kind for kind in (Effect, Force, VelocityFlow, Event) if isinstance(effect, kind)]
     taken = [key for key in vars(effect) if any(callable(getattr(kind, key, None)) for kind in kinds)]
     g = vars(effect).get("g") if isinstance(effect, Force) else None
@@ -48,7 +48,7 @@ def names_taken(effect: Any, dimension: int) -> list[str]:
 
 
 def asked(name: str, method: Callable[..., Any], *arguments: Any) -> Any:
-    """What a method of an effect returns. StoppedError, which names the effect, file and line, where it fails."""
+    """Call a method of an effect and return its value. If it fails, StoppedError names effect, file and line."""
     try:
         return method(*arguments)
     except (StoppedError, SceneError, MemoryError):
@@ -61,13 +61,13 @@ def asked(name: str, method: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def call_in_place(name: str, method: Callable[..., Any], *arguments: Any) -> None:
-    """Call a method of an effect that changes arrays in place. StoppedError if it returns something, which would be lost."""
+    """Call a method of an effect that changes arrays in place. Raises StoppedError if it returns a value, which would be lost."""
     if asked(name, method, *arguments) is not None:
         raise StoppedError(f"effects.{name}: its `{method.__name__}` must change the arrays that it is given, and return nothing")
 
 
 def number_from(name: str, returned: Any) -> int:
-    """How many particles an event says that it changed. StoppedError for what is no such number."""
+    """Return the number of particles that an event says it has changed. StoppedError if it is no such number."""
     if isinstance(returned, int | np.integer) and not isinstance(returned, bool) and returned >= 0:
         return int(returned)
     raise StoppedError(f"effects.{name}: its `act` returned {returned!r:.60}, and not how many particles it has changed")

@@ -1,4 +1,4 @@
-"""The kinds of effect. How to write one stands in `effects/__init__.py`; `effect_files` loads it."""
+"""The kinds of effect, as base classes. `effects/__init__.py` explains how to write an effect, and `effect_files` loads it."""
 
 import sys
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ FORWARD = ("leapfrog", "taylor")  # those with one drift a step, forward in time
 class EffectOptions(Model):
     """The keys of a table `[effects.NAME]`. An effect that is not `active` does nothing until it is switched on.
 
-    `file`: where an effect from outside the program stands, relative to the scene file.
+    `file`: the Python file of an effect from outside the program, relative to the scene file.
     """
 
     active: bool = True
@@ -41,10 +41,10 @@ class EffectOptions(Model):
 
 
 class Needs(NamedTuple):
-    """What an effect needs of the program.
+    """What an effect needs from the program.
 
-    columns: per-particle columns of its own, by name; divides_by_mass: a mass of 0 is refused; integrators: those that can
-    compute it, others are refused when the scene is read.
+    columns: columns per particle that it brings, by name; divides_by_mass: is a mass of 0 refused? integrators: those that can
+    compute the effect; a scene with another one is refused.
     """
 
     columns: Mapping[str, Column] = MappingProxyType({})
@@ -53,7 +53,7 @@ class Needs(NamedTuple):
 
 
 class Context(NamedTuple):
-    """What there is besides a rank's own particles. Any where a type would load MPI to check a scene."""
+    """What an effect can use besides its rank's particles. Types that would import MPI are given as Any."""
 
     ranks: Any  # a `Communicator`
     ids: Any  # an `IdRange`
@@ -71,7 +71,7 @@ class Context(NamedTuple):
 
 
 class Effect:
-    """What all kinds of effect have in common. For the plan: `role`, the kind in words, and `formula`, the law in one line."""
+    """The base class of all kinds of effect. The plan prints `role`, the kind in words, and `formula`, the law in one line."""
 
     role: ClassVar[str]
     formula: ClassVar[str]
@@ -82,7 +82,7 @@ class Effect:
         """`options`: the validated keys of the effect's table in `scene` (a `Scene`)."""
 
     def __init_subclass__(cls) -> None:
-        """The columns that an effect brings are known to exchange and output from here on."""
+        """Check `needs` (ValueError if it is wrong) and enter its columns into FIELDS, for exchange and output."""
         columns: Any = cls.needs.columns
         if not (isinstance(columns, Mapping) and all(isinstance(column, Column) for column in columns.values())):
             raise ValueError('its needs.columns must be a table of columns, as {"charge": Column()}')
@@ -96,7 +96,7 @@ class Effect:
 
     @staticmethod
     def option_changed(particles: Particles, before: Any, after: Any) -> None:
-        """The options `before` became those `after` between two steps: change the columns that follow them."""
+        """Update columns that depend on options, which have changed from `before` to `after` between two steps."""
 
     def bind(self, context: Context) -> None:
         """Called once for each effect object, before the first step in which it acts. Collective.
@@ -106,7 +106,7 @@ class Effect:
 
 
 class Force(Effect):
-    """Adds to an acceleration, and never sets it."""
+    """A force: it adds to the accelerations of particles, and never overwrites them."""
 
     role = "force"
     place_dependent: ClassVar[bool] = True  # False: summed anew only where somebody has changed a field of the particles
@@ -117,32 +117,34 @@ class Force(Effect):
     interactions: Any = 0  # pairs, or what is put in their place, that were computed so far: for comparisons of cost
 
     def add(self, particles: Particles, acceleration: Array) -> None:
-        """acceleration (n, d) += that of this force, for the rows of this rank."""
+        """Add the acceleration by this force to `acceleration` (n, d), for the rows of this rank. In place."""
         raise NotImplementedError
 
     def potential(self, particles: Particles) -> Array | None:
-        """Potential energy (n,) of each particle, NaN where there is none; None if this force has no energy.
+        """Return the potential energy (n,) of each particle, NaN where it has none; None if this force has no energy.
 
-        The energy of a pair is the sum of what its partners have: half of it each, also where one is fixed.
+        Each partner of a pair has half of the pair's energy, also if one of them is fixed.
         """
         return None
 
 
 class VelocityFlow(Effect):
-    """dv/dt as a function of the velocity, at fixed positions. Several act one after the other, symmetrically about the force.
+    """A law dv/dt = f(v) that changes velocities at fixed positions.
 
-    Contacts reflect the velocities that a flow has given to the drift, so that a flow that does no work changes no energy there.
+    In a kick all flows act for half of its time before the force, and in reverse order for the other half after it. At a contact
+    within the drift, what a flow does between the middle of the step and the contact is left out: a flow that does no work then
+    changes no energy at contacts.
     """
 
     role = "velocity"
     possible = FORWARD
 
     def advance(self, particles: Particles, h: float) -> None:
-        """Velocities after a time h with nothing else acting, in place."""
+        """Change velocities in place to those after a time h in which nothing else acts."""
         raise NotImplementedError
 
     def rate(self, particles: Particles) -> Array:
-        """dv/dt (n, d) at the present velocities: the integrator `taylor` asks for it."""
+        """Return dv/dt (n, d) at the present velocities; only the integrator `taylor` calls it."""
         raise NotImplementedError
 
 
@@ -163,7 +165,7 @@ class Damping(Effect):
     role = "dissipation"
 
     def factors(self, particles: Particles, h: float) -> tuple[Array, Array]:
-        """(decay, force_time), each (n,): the velocity after h is v * decay + a * force_time."""
+        """Return (decay, force_time), each (n,): after a time h the velocity is v * decay + a * force_time."""
         raise NotImplementedError
 
 
@@ -183,8 +185,9 @@ class ConstantFriction(Effect):
 
 
 class WallContacts(Effect):
-    """`planes` that particles bounce off. lossy: does a bounce take energy? taking (w,): at which of them;
-    surfaces: (mu, beta_0) of each, see `contacts.rough`."""
+    """Planes that particles bounce off. lossy: does any bounce take energy? taking (w,): does one at each of the w planes?
+    surfaces: (mu, beta_0) of each plane, see `contacts.rough`.
+    """
 
     role = "event"
     planes: Any
@@ -193,17 +196,18 @@ class WallContacts(Effect):
     surfaces: list[tuple[float, float]]
 
     def drift(self, particles: Particles, h: float, rates: Any, noting: bool) -> tuple[int, int, Any]:
-        """Drift over h with walls alone, while velocities change by `rates`. Purely local.
+        """Move particles over a time h where there are walls and no pairs, while velocities change by `rates`. Not collective.
 
-        Returns the number of wall hits, that of particles that had no room to move, and, if it is `noting` them, the
-        `LastContacts` of particles in it.
+        Returns the number of wall hits, the number of particles that had no room to move, and the `LastContacts` of particles in
+        the drift, which are recorded only if it is `noting` them.
         """
         raise NotImplementedError
 
 
 class PairContacts(Effect):
-    """Spheres that bounce off one another. loss: a `contacts.law.Loss`; surface: (mu, beta_0), see
-    `contacts.rough`; lossy: does a contact take energy?"""
+    """Spheres that bounce off one another. loss: a `contacts.law.Loss`; surface: (mu, beta_0), see `contacts.rough`; lossy: does
+    a contact take energy?
+    """
 
     role = "event"
     options: Any

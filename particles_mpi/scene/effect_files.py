@@ -21,15 +21,15 @@ OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package 
 
 
 def effect_names() -> list[str]:
-    """The effects that come with the program: one file each in `effects/`."""
+    """Return the names of the program's own effects, each of which is a file in `effects/`."""
     return sorted(module.name for module in pkgutil.iter_modules(importlib.import_module(PACKAGE).__path__))
 
 
 def load_effect(name: str, file: Path | None) -> ModuleType:
-    """The module of an effect of the program, by its name; or of a `file` of the user's, whatever it is called in the scene.
+    """Return the module of one of the program's effects, by its name; or that of a user's `file`, whatever its name in the scene.
 
-    A file that has changed is loaded anew, as another module; what goes on with the one before keeps that. `digest` of a module
-    is the sha256 of its file.
+    A file that has changed is loaded again, as a new module; simulations that use the old module keep it. `module.digest` is the
+    sha256 of the file.
 
     Raises ValueError, one line without the key, for a file that cannot be read, fails, or does not hold the two classes.
     """
@@ -66,7 +66,7 @@ def load_effect(name: str, file: Path | None) -> ModuleType:
 
 
 def require_same_again(options: Any) -> None:
-    """ValueError for options that a checkpoint, which holds plain numbers, text, lists and tables, would not give back."""
+    """Raise ValueError for options that change on the way through a checkpoint: it has numbers, text, lists and tables only."""
     plain = plain_options(options)
     try:
         again = type(options).model_validate(plain)
@@ -82,13 +82,13 @@ def require_same_again(options: Any) -> None:
 
 
 def plain_options(options: Any) -> dict[str, Any]:
-    """Options as plain numbers, text, lists and tables; None only where an option that is not given would be something else."""
+    """Return options as numbers, text, lists and tables; None only for a key whose default is not None."""
     plain: dict[str, Any] = options.model_dump(mode="json", warnings=False, fallback=python_values)
     return without_idle(options, plain)
 
 
 def without_idle(value: Any, plain: Any) -> Any:
-    """`plain`, which is what a value came to, without what is None in its tables and would be, were it not given."""
+    """Return `plain`, the plain form of `value`, without the keys that are None and whose default is None."""
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
         idle = {key: key in fields and getattr(value, key) is None and fields[key].default is None for key in plain}

@@ -1,4 +1,4 @@
-"""What contacts take, as the tables of collisions and walls say it."""
+"""The keys for restitution, damping and friction, which the tables of collisions and walls share."""
 
 from math import inf
 from typing import Annotated, Any
@@ -9,10 +9,11 @@ from particles_mpi.scene.model import Fraction, Model, NotNegative
 
 
 class Losses(Model):
-    """What contacts leave: `restitution` e (momentum is conserved), or `damping` alpha: the whole velocity times sqrt(1-alpha).
+    """What a contact takes: `restitution` e (momentum is conserved), or `damping` alpha, which multiplies velocities by
+    sqrt(1-alpha).
 
-    Spheres are rough with `friction` mu (Coulomb's) or `tangential_restitution` beta_0, the part of the slip of their surfaces
-    that comes back, reversed, where they stick: 0 if not given. Without mu they always stick. See `contacts.rough`.
+    Spheres are rough with `friction` mu (Coulomb's) or `tangential_restitution` beta_0. That is the part of the slip of their
+    surfaces that a contact which sticks reverses: 0 if it is not given. Without mu contacts always stick. See `contacts.rough`.
     """
 
     damping: Fraction | None = None
@@ -29,15 +30,15 @@ class Losses(Model):
 
     @property
     def rough(self) -> bool:
-        """Do surfaces act on one another in a contact?"""
+        """Does a contact also act along the surfaces, by friction?"""
         return self.surface[0] > 0.0
 
     def parts(self) -> dict[str, "Losses"]:
-        """What contacts take, by the key in the table that says so, "" for the table itself."""
+        """Return the losses of each part of this table, by the beginning of its keys; "" stands for the table itself."""
         return {"": self}
 
     def within(self, table: "Losses") -> "Losses":
-        """These, and those of a `table` where they say nothing."""
+        """Return these losses, and those of `table` for the keys that are not given here."""
         normal = table if self.restitution is None and self.damping is None else self
         across = table if self.tangential_restitution is None else self
         return Losses(
@@ -48,14 +49,14 @@ class Losses(Model):
         )
 
     def described(self, scene: Any, total: int) -> str:
-        """The surfaces, for the plan."""
+        """Return a description of the rough surfaces for the plan, "" if there are none."""
         surfaces = {losses.surface for losses in self.parts().values() if losses.rough}
         limits = {mu: "without a limit" if mu == inf else f"{mu:g}" for mu, _ in surfaces}
         texts = [f"friction {limits[mu]}, tangential restitution {beta:g}" for mu, beta in sorted(surfaces)]
         return "rough: " + "; ".join(texts) if texts else ""
 
     def rough_faults(self, scene: Any) -> list[str]:
-        """Why rough spheres cannot be here, each beginning with the key."""
+        """Return why spheres cannot be rough in this scene, as lines that begin with the key; [] if they can."""
         faults = []
         for part, losses in self.parts().items():
             key = part + ("friction" if losses.friction is not None else "tangential_restitution")

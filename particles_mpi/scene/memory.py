@@ -15,10 +15,10 @@ CGROUPS = Path("/sys/fs/cgroup")
 
 
 def memory_needed(scene: Scene, columns: dict[str, Array], total: int, ranks: int, piles: bool = True) -> int:
-    """Bytes that all ranks need together in a run with `total` particles, ghosts not counted: within about a quarter.
+    """Return how many bytes all ranks together need for `total` particles, without ghosts: correct within about a quarter.
 
-    `columns`: the fields of particles, of any number of rows. `piles`: where contacts can last, do all particles come to lie in
-    piles?
+    `columns`: the fields of particles, with any number of rows. `piles`: where contacts can last, will all particles come to lie
+    in piles?
     """
     row = row_bytes(*columns.values()) + ALWAYS + PAIRS * ("collisions" in scene.active)
     row += PILES * (piles and {"supported", "contacted"} <= columns.keys())
@@ -29,7 +29,7 @@ def memory_needed(scene: Scene, columns: dict[str, Array], total: int, ranks: in
 
 
 def memory_there() -> float:
-    """Bytes that this machine has, or that a container or a job on it may use."""
+    """Return how many bytes of memory this machine has, or a container or job on it may use."""
     least = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     for limit in limits_of_groups():
         try:
@@ -42,7 +42,7 @@ def memory_there() -> float:
 
 
 def limits_of_groups() -> list[Path]:
-    """The files with the limits of the groups of processes that this one is in, of both versions of Linux's control groups."""
+    """Return the files with memory limits for the control groups of this process, in both versions of Linux's control groups."""
     try:
         groups = [line.split(":", 2) for line in Path("/proc/self/cgroup").read_text().splitlines()]
     except OSError:

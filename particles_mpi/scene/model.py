@@ -26,7 +26,7 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Model(BaseModel):
-    """Strict: an unknown key, or a number given as text, is a fault and not a guess."""
+    """The base class of all tables. It is strict: an unknown key, or a number that is given as text, is an error."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
     _running: bool = PrivateAttr(False)  # does a simulation go by it?
@@ -42,14 +42,14 @@ class Model(BaseModel):
     @field_validator("*")
     @classmethod
     def _in_range(cls, value: Any) -> Any:
-        """Numbers, and lists of them, that are not beyond LARGEST_NUMBER."""
+        """Check that a number, or each number in a list, is not beyond LARGEST_NUMBER."""
         for number in value if isinstance(value, list) else [value]:
             if isinstance(number, float):
                 not_too_large(number)
         return value
 
     def running(self) -> Self:
-        """A copy, down to the tables, that a simulation goes by and that can no longer be changed."""
+        """Return a copy, with copies of all tables within, which a simulation uses and which can no longer be changed."""
         copy = self.model_copy(update={name: sealed(value) for name, value in self})
         copy._running = True
         return copy
@@ -70,7 +70,7 @@ def python_values(value: Any) -> Any:
 
 
 def held(value: Any) -> list[Any]:
-    """What is in a table, and in the tables within it: keys, values, and entries of lists of tables or texts."""
+    """Return all objects in a table and in the tables within it: keys, values, and entries of lists of tables or texts."""
     if isinstance(value, BaseModel):
         parts = [inner for _, inner in value]
     elif isinstance(value, dict):
@@ -81,7 +81,7 @@ def held(value: Any) -> list[Any]:
 
 
 def sealed(value: Any) -> Any:
-    """A value of a table, with `running` copies of the tables in it, and lists of its own."""
+    """Return a value of a table, with `running` copies of the tables in it and copies of its lists."""
     if isinstance(value, dict):
         return {name: sealed(inner) for name, inner in value.items()}
     if isinstance(value, list):
@@ -90,7 +90,7 @@ def sealed(value: Any) -> Any:
 
 
 def wrong_length(key: str, value: Any, dimension: int) -> list[str]:
-    """A fault for a vector, or each of a list of them, that has other components than there are axes."""
+    """Return a fault for each vector, or vector in a list, that has another number of components than `dimension`."""
     if isinstance(value, list) and value and isinstance(value[0], list):
         return [fault for i, row in enumerate(value) for fault in wrong_length(f"{key}[{i}]", row, dimension)]
     wrong = isinstance(value, list) and len(value) != dimension
@@ -104,7 +104,7 @@ def suggestion(name: str, known: list[str]) -> str:
 
 
 def misspelt(missing: Any, given: Any, known: list[str]) -> str:
-    """Which of the keys that are given, and not among those that are known, may be meant by the one that is missing."""
+    """Return a text that names the unknown key which is most like the missing one, "" if none is."""
     unknown = [str(key) for key in given if key not in known] if isinstance(given, dict) else []
     near = difflib.get_close_matches(str(missing), unknown, 1, 0.75)
     return f" (got {near[0]!r})" if near else ""
@@ -127,7 +127,7 @@ def tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def faults_of(error: ValidationError, model: type[BaseModel], prefix: tuple[Any, ...] = ()) -> list[str]:
-    """One line a fault: `key: what is wrong`."""
+    """Return the faults in a validation error, one line for each: `key: what is wrong`."""
     faults = []
     for item in error.errors():
         place, given, kind = item["loc"], item.get("input"), item["type"]
@@ -167,12 +167,12 @@ def in_order(value: Any) -> Any:
 
 
 def table_of(value: Any, *keys: str, check: Any = None) -> Any:
-    """A table with these keys and no others, each of which holds a `value`."""
+    """Return the type of a table that has exactly these keys, each of which holds a `value`."""
     return Annotated[dict[Literal[keys], value], Len(len(keys), len(keys)), check]  # type: ignore[valid-type]
 
 
 def one_of(fault: str, *kinds: Any) -> Any:
-    """What is of one of these kinds, and stays as it was given; `fault`: the message about anything else."""
+    """Return a type that accepts values of these kinds and keeps them as given. `fault`: the message about others."""
     any_of: Any = Union[kinds]  # noqa: UP007
     adapter: TypeAdapter[Any] = TypeAdapter(any_of, config=ConfigDict(strict=True))
 

@@ -1,4 +1,4 @@
-"""What a scene will do and what it will not, before it runs; `run.forecast` tells how long it takes."""
+"""The plan of a run: what it will do, what it will not do, and advice. `run.forecast` estimates how long the run takes."""
 
 from math import inf, sqrt
 from typing import Any
@@ -16,9 +16,9 @@ CHECKPOINT_BYTES, HDF5_BYTES, VTK_BYTES, ROW_BYTES = 14_000, 200_000, 1_000, 150
 
 
 def plan(scene: Scene, particles: Particles, ranks: Communicator, steps: int) -> dict[str, Any]:
-    """The plan as plain data: for the screen, and for `run.json`. Collective, the same on all ranks.
+    """Return the plan as plain data, for the screen and for `run.json`. Collective, the same on all ranks.
 
-    `particles`: this rank's; `steps`: the number of the step that the run ends with.
+    `particles`: those of this rank; `steps`: the number of the last step of the run.
     """
     total, fixed = ranks.total(len(particles), np.count_nonzero(particles.fixed))
     runs, active = [], scene.active
@@ -51,9 +51,9 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator, steps: int) ->
 
 
 def output_bytes(scene: Scene, particles: Particles, state: int, total: int, fixed: bool, steps: int) -> int:
-    """How large the files of a run get, within some percent; what lasting contacts add to the checkpoint is not known before.
+    """Return how large the files of a run get, within some percent; what lasting contacts add to the checkpoint is not known yet.
 
-    `state`: bytes of all columns of all particles; `total`: the number of these; `fixed`: are some of them fixed?
+    `state`: bytes of all columns of all particles; `total`: how many particles there are; `fixed`: are some of them fixed?
     """
     d, output, shown = scene.dimension, scene.output, 0  # bytes of a particle in a frame
     for name, column in particles.arrays.items():
@@ -69,7 +69,7 @@ def output_bytes(scene: Scene, particles: Particles, state: int, total: int, fix
 
 
 def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
-    """What an experienced user would say of the step and the box. Collective."""
+    """Return advice about the step, the box and the output, one line for each piece. Collective."""
     h, active, lines = scene.time.step, scene.active, list[str]()
     drag = particles["drag"] if "drag" in particles.arrays else np.empty(0)
     square, smallest = (particles.velocity**2).sum(axis=1), particles.radius[particles.fixed == 0].min(initial=inf)

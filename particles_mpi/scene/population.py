@@ -20,7 +20,7 @@ from particles_mpi.scene.model import (
 
 
 class Population(Model):
-    """Particles that are described together. Further keys are columns that effects from outside bring: the scene checks them."""
+    """Particles that are described together. Further keys are columns of effects from outside, which the scene checks."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -68,7 +68,7 @@ def population_faults(scene: Any, key: str, population: Population) -> list[str]
 
 
 def wrong_value(key: str, value: Any, kind: Any, components: int) -> list[str]:
-    """A fault of a value of which only the scene tells what it must be: of that kind, a vector with so many components if any."""
+    """Return a fault if `value` is not of this `kind`, or not a vector of so many `components` (if not 0)."""
     try:
         TypeAdapter(kind).validate_python(value)
     except ValidationError as error:

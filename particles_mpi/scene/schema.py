@@ -1,4 +1,4 @@
-"""The scene file: TOML in, validated model out. What needs the particles to be judged is judged in `populate`."""
+"""The scene file: TOML is read and becomes a validated model. Faults that only the particles can show are found by `populate`."""
 
 import sys
 import tomllib
@@ -52,9 +52,9 @@ class Time(Model):
 
 
 class Output(Model):
-    """What is written, and how often (in steps); may be changed while a simulation goes by it, and is checked then too.
+    """What a run writes, and after how many steps. It may be changed while a simulation uses it, and is then checked again.
 
-    A run of fewer steps than `every` writes its end too, if the scene says nothing of `every`.
+    If the scene does not give `every`, and the run has fewer steps than its default, `every` is the number of steps of the run.
     """
 
     model_config = ConfigDict(validate_assignment=True)
@@ -83,10 +83,10 @@ class Output(Model):
 
 
 class Scene(Model):
-    """A scene as validated: what is simulated, how long, and what is written.
+    """A validated scene: what is simulated, for how long, and what is written.
 
-    `Scene.load(path)` reads a TOML file, `Scene.from_dict(tables)` takes the same tables from Python, and
-    `Scene(...)` the same again as keywords. All raise `SceneError`.
+    `Scene.load(path)` reads a TOML file, `Scene.from_dict(tables)` takes the same tables as dictionaries, and `Scene(...)` takes
+    them as keyword arguments. All raise `SceneError`.
     """
 
     folder: Annotated[Path, Field(exclude=True)] = Path()
@@ -108,7 +108,7 @@ class Scene(Model):
             raise SceneError(faults_of(error, Scene)) from None
 
     def __eq__(self, other: object) -> bool:
-        """The same tables, wherever they are from."""
+        """Compare the tables, whichever file they come from."""
         return isinstance(other, Scene) and self.to_dict() == other.to_dict()
 
     @classmethod
@@ -136,9 +136,9 @@ class Scene(Model):
             raise SceneError([f"{path}: {fault}" for fault in error.faults]) from None
 
     def checked(self) -> Self:
-        """The same scene, validated again if its tables were changed since it was made. Raises `SceneError`.
+        """Return this scene, or one that is validated again if its tables were changed since it was made. Raises `SceneError`.
 
-        Numbers that were changed within a list are not looked at.
+        A number that was changed within a list is not noticed.
         """
         now = held(self)
         if len(now) == len(self._validated) and all(map(is_, now, self._validated)):
@@ -149,7 +149,7 @@ class Scene(Model):
         return self.from_dict(self.to_dict() | {"output": output}, self.folder)
 
     def to_dict(self) -> dict[str, Any]:
-        """The tables that give this scene back; plain lists, numbers and text."""
+        """Return the tables from which this scene can be made again, as plain lists, numbers and text."""
         tables = self.model_dump(  # also of what a script has set, see `checked`
             mode="json", exclude_none=True, exclude={"effects"}, warnings=False, fallback=python_values
         )
@@ -226,7 +226,7 @@ class Scene(Model):
         return self
 
     def effect_faults(self) -> list[str]:
-        """Effects with options that cannot be here, and those that the integrator cannot compute."""
+        """Return faults: options of effects that are impossible in this scene, and effects that the integrator cannot compute."""
         integrator, faults = self.time.integrator, []
         reason = {"order4": "goes back in time between kicks", "adaptive": "needs smooth paths"}.get(integrator)
         for name, options in self.effects.items():
@@ -241,7 +241,7 @@ class Scene(Model):
 
     @property
     def rough(self) -> bool:
-        """Is there an effect with which spheres are rough?"""
+        """Does an effect make spheres rough?"""
         tables = [options for options in self.effects.values() if isinstance(options, Losses)]
         return any(losses.rough for table in tables for losses in table.parts().values())
 
