@@ -15,11 +15,12 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True)
 class Column:
-    """A per-particle quantity.
+    """A per-particle quantity, by default one number.
 
-    dtype: of numpy; vector: one component an axis; rotation: one a plane of two axes, d(d-1)/2; orientation: an angle in the
-    plane, a quaternion in space; ghost: partners of a pair must know it; output: written to frames (state that only a restart
-    needs is not); default: the value where nothing gives one; least: the smallest value allowed.
+    dtype: a numpy type; vector: it has d components, one for each axis; rotation: d(d-1)/2, one for each plane of two axes;
+    orientation: an angle in the plane, a quaternion in space; ghost: ghosts have it, because partners of a pair need it; output:
+    it is written to frames (state that only a restart needs is not); default: the value if none is given; least: the smallest
+    allowed.
     """
 
     dtype: str = "float64"
@@ -46,29 +47,29 @@ FIELDS = {
     "spin": Column(rotation=True, ghost=True),  # angular velocity, of rough spheres
     "moment_of_inertia": Column(ghost=True, least=0.0),
     "orientation": Column(orientation=True),  # from that at the start
-    # when it last met anyone or a wall, in mode event; -inf: never
+    # time of its last contact with a particle or a wall, in mode event; -inf: it had none
     "contacted": Column(ghost=True, output=False, default=-np.inf),
     # sum of r.J of its collisions so far; each counts for the lower id, or for the other one if that is fixed; for observables
     "virial": Column(output=False),
     "supported": Column("uint8", output=False),  # pressed onto something by forces: see contacts/persistent
-    # of forces and lasting contacts, in this step
+    # by forces and lasting contacts, in this step
     "total_acceleration": Column(vector=True, ghost=True, output=False),
-    "free_acceleration": Column(vector=True, output=False),  # of forces alone, where lasting contacts push too
+    "free_acceleration": Column(vector=True, output=False),  # by forces alone, where lasting contacts push too
     "rate": Column(vector=True, output=False),  # dv/dt at the start of a `taylor` step
 }
 RUN_MADE = tuple(name for name, column in FIELDS.items() if not column.output)  # fields that a run fills by itself
 BUILT_IN = tuple(FIELDS)  # those of the program; effects from outside bring more
-USER = Column("", output=False)  # any other name: data of the user's, of any type and shape, that goes where its particle goes
+USER = Column("", output=False)  # data of the user's own, of any type and shape, which moves with its particle
 # Types of columns that viewers, too, can read: VTK has no others.
 IN_FILES = ("float64", "float32", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (64, 32, 16, 8)))
 ALWAYS = ("id", "position", "velocity", "radius", "mass", "fixed")
-# Fields that decide who meets whom, with what outcome
+# Fields that decide which particles meet, and with what outcome
 MEETING = ("position", "velocity", "radius", "mass", "fixed", "drag", "spin", "moment_of_inertia", "contacted", "virial")
 
 
 OWN = {"dimension", "arrays", "version", "edition"}  # attributes of `Particles` that are no fields
-# Names that say something else in a table of a scene or of the start, in a view of the state, or in files of frames and for those
-# who read them; so does any that begins with "_", or ends in FULL.
+# Names that have another meaning in a table of a scene or of the start, in a view of the state, or in files of frames and for
+# programs that read these. Names that begin with "_" or end in FULL are taken, too.
 TAKEN = OWN | {"count", "time", "step", "index", "fields", "speed", "energy", "axis", "spinning", "Points"}
 TAKEN |= {f"{v}{axis}" for v in ("", "v") for axis in "xyz"}
 FULL = "_full"  # after the name of a vector of more than three components, in files of frames
@@ -77,9 +78,9 @@ FULL = "_full"  # after the name of a vector of more than three components, in f
 class Particles:
     """Rows of particles as arrays by name: `position[i]`, `mass[i]`, ...; vectors are (n, d), scalars (n,), in the scene's units.
 
-    Row order changes from step to step; `id` tells which particle a row is. `version` counts the times that rows were moved, or
-    that a user changed what decides who meets whom: whatever is kept by row is then stale. `edition` counts changes by a user
-    (of fields, of effects, of who is there) and the start.
+    The order of rows changes from step to step; `id` tells which particle a row is. `version` is raised when rows were moved, or
+    a user changed a field of MEETING: data that was kept for each row is then out of date. `edition` is raised when a user
+    changed anything (fields, effects, which particles there are), and at the start.
     """
 
     def __init__(self, dimension: int, arrays: dict[str, Array]):
@@ -100,7 +101,7 @@ class Particles:
             raise AttributeError(f"these particles have no field {name!r}") from None
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """`particles.velocity *= 0.9`, and any values for a field, go into its array, which others hold too."""
+        """Write values into the array of a field, as in `particles.velocity *= 0.9`; other objects refer to the same array."""
         if name in OWN:
             object.__setattr__(self, name, value)
         elif name in self.arrays:
@@ -110,7 +111,7 @@ class Particles:
 
     def __setitem__(self, name: str, values: Any) -> None:
         column = self.arrays[name]
-        if values is not column:  # else they are there already
+        if values is not column:  # else it is the array itself
             column[...] = values
 
     def select(self, rows: Array) -> Particles:
@@ -118,7 +119,7 @@ class Particles:
         return Particles(self.dimension, rows_of(self.arrays, rows))
 
     def typed(self) -> Particles:
-        """The same rows with each field as numbers of its type, as they are held: `fixed` of a frame, say, is a mask of rows."""
+        """Return the same rows, with each field in its own type: `fixed` of a frame, for instance, is a mask of rows."""
         held = {name: column.astype(field(name).dtype, copy=False) for name, column in self.arrays.items() if name in FIELDS}
         return Particles(self.dimension, self.arrays | held)
 
@@ -127,12 +128,12 @@ class Particles:
         return self.select(np.arange(len(self)))
 
     def replace(self, arrays: dict[str, Array]) -> None:
-        """Take other rows: same fields, any number of rows, any order."""
+        """Take other rows in place of the present ones: the same fields, any number of rows, any order."""
         self.arrays = arrays
         self.version += 1
 
     def change(self, values: dict[str, Array]) -> None:
-        """New values (n, ...) of some fields. Fixed particles have no velocity: any that is given to them is taken away."""
+        """Set some fields to new values (n, ...). Velocities and spins that are given to fixed particles are set back to 0."""
         for name, value in values.items():
             self[name] = value
         self.hold_fixed()
@@ -140,7 +141,7 @@ class Particles:
         self.version += not values.keys().isdisjoint(MEETING)
 
     def hold_fixed(self) -> None:
-        """Fixed particles neither move nor turn."""
+        """Set the velocities and spins of fixed particles to 0."""
         for name in ("velocity", "spin"):
             if name in self.arrays:
                 self.arrays[name][self.fixed != 0] = 0.0
@@ -152,7 +153,7 @@ class Particles:
 
     @property
     def inverse_inertia(self) -> Array:
-        """1/I, and 0 for what nothing turns: fixed particles, and points, or nearly so; no row where spheres are smooth."""
+        """1/I (n,), 0 for fixed particles and for points, which nothing turns; an array without rows where spheres are smooth."""
         moment = self.arrays.get("moment_of_inertia")
         if moment is None:
             return np.empty(0)
@@ -164,7 +165,7 @@ class Particles:
 
 
 def add_column(name: str, column: Column) -> None:
-    """Enter a column that an effect brings into the table. ValueError if another one has the name, or it holds no numbers."""
+    """Enter the column of an effect into FIELDS. ValueError if its name is taken, or its type or default cannot be used."""
     known = FIELDS.get(name, column)
     taken = name in TAKEN or name.startswith("_") or name.endswith(FULL) or hasattr(Particles, name)
     if taken or not name.isidentifier() or (known != column and name in BUILT_IN):
@@ -192,12 +193,12 @@ def is_default(column: Column) -> bool:
 
 
 def field(name: str) -> Column:
-    """What is known of a field; data of the user's own is in no table."""
+    """Return the column of a field; USER for data of the user's own, which FIELDS does not have."""
     return FIELDS.get(name, USER)
 
 
 def spin_components(dimension: int) -> int:
-    """Components of a spin: as many as there are planes to turn in."""
+    """Return the number of components of a spin: one for each plane of two axes."""
     return dimension * (dimension - 1) // 2
 
 
@@ -232,7 +233,7 @@ def moment_of_sphere(mass: Array, radius: Array, dimension: int) -> Array:
 
 
 def default_values(name: str, rows: int, dimension: int) -> Array:
-    """What a field holds where nothing gives it a value."""
+    """Return an array with the default value of a field in each of so many rows."""
     values = np.full(shape(name, rows, dimension), FIELDS[name].default, FIELDS[name].dtype)
     if FIELDS[name].orientation and dimension == 3:
         values[:, 0] = 1.0
@@ -245,7 +246,7 @@ def part_of(p: Particles, rows: slice) -> Particles:
 
 
 def to_read(p: Particles) -> Particles:
-    """The same rows, in the same memory, of which what the program has by itself can only be read."""
+    """Return the same rows in the same memory, with built-in fields read-only; columns that effects bring stay writable."""
     given = Particles(p.dimension, {name: array[:] for name, array in p.arrays.items()})
     for name in given.arrays.keys() & FIELDS.keys() & set(BUILT_IN):
         given.arrays[name].flags.writeable = False
@@ -259,7 +260,7 @@ def rows_of(arrays: dict[str, Array], rows: Array) -> dict[str, Array]:
 
 
 def rows_with(ids: Array, wanted: Array) -> Array:
-    """Which of the rows with these ids (n,), all different, have the `wanted` ids, which are among them."""
+    """Return the rows of the `wanted` ids, among rows with these `ids` (n,), which are all different and contain them."""
     order = np.argsort(ids)
     rows: Array = order[np.searchsorted(ids, wanted, sorter=order)]
     return rows

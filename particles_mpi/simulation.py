@@ -34,8 +34,8 @@ class Simulation(Saved):
     """
 
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
-        """`comm`: an MPI communicator, by default that of all ranks. `start`: all particles in id order, the same on every rank,
-        with the fields that the scene needs, instead of those that the scene describes. Collective.
+        """`start`: all particles in id order, the same on every rank, instead of those of the scene; with all fields that it
+        needs.
         """
         if not isinstance(scene, Scene):
             raise TypeError(f"Simulation: {scene!r:.60} is no Scene; there are Scene.load(path) and Scene.from_dict(tables)")
@@ -45,7 +45,7 @@ class Simulation(Saved):
         same_on_all(ranks, scene.to_dict(), start.arrays if start else {})
         with raising_together(ranks):
             if start is None:
-                rows, warnings = populate(scene, Communicator(ranks.comm))  # its messages are not counted among the steps'
+                rows, warnings = populate(scene, Communicator(ranks.comm))  # a copy: its messages are not counted
             else:
                 rows, warnings = start.typed().select(np.arange(*ranks.share(len(start)))), []
         with raising_together(ranks):
@@ -64,7 +64,7 @@ class Simulation(Saved):
 
     def step_towards(self, last: int) -> None:
         """Advance by one step, or by several where `ManySteps` computes them at once, but not beyond step `last`. Collective."""
-        if self.many_steps and "step" not in vars(self):  # a user who put a function there wants it called for each
+        if self.many_steps and "step" not in vars(self):  # else a user's own `step` is called each time
             self.steps_at_once(min([last, *(view.due(self.steps_done) for view in self.views)]) - self.steps_done)
         else:
             self.step()
@@ -92,7 +92,7 @@ class Simulation(Saved):
 
         def drift(part: float) -> None:
             rates = self.drift.rates(self.g, self.accelerations.total, 0.5 * h)
-            length = self._h if stop else part  # h is a guess then, beyond which the collision may be
+            length = self._h if stop else part  # with `stop` h is a guess: the collision may be later
             self.drift.advance(length, self.time, rates, contacts, stop)
 
         self.integrator.advance(self.rows, h, drift)
@@ -180,7 +180,7 @@ class Simulation(Saved):
         """
         self.take_changes()
         p = self.rows
-        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is told below
+        with np.errstate(over="ignore", invalid="ignore"):  # an error below if it is not finite
             gravity = "mutual_gravity" in self.scene.effects
             measured = energies_and_momenta(self.ranks, p, self.accelerations.potentials(p), gravity)
             if self.scene.output.observables:

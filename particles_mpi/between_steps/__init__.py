@@ -1,7 +1,7 @@
 """What a user may read and change between two steps.
 
-- `state`: particles, clock, counts and scene of a simulation, and what is made anew when they change
-- `membership`: particles that are added and taken away, and data of the user's own
-- `views`: the particles as a user sees them, and what was changed there; `options`: the same of effects
-- `saved`: copied, compared, printed, saved and read back
+- `state`: the particles, clock, counts and scene of a simulation, and what is rebuilt when they change
+- `membership`: adds and removes particles, and attaches data of the user's own
+- `views`: shows particles to a user and takes over changes; `options`: the same for the options of effects
+- `saved`: copies, compares, prints, saves and restores a simulation
 """

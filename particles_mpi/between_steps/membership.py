@@ -1,4 +1,4 @@
-"""Particles that come and go between two steps, and data of the user's own that they carry."""
+"""Adding and removing particles between two steps, and attaching data of the user's own to them."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -17,13 +17,13 @@ from particles_mpi.scene.model import python_values
 
 
 class Membership(State):
-    """A state whose particles come and go, and carry data of the user's own; all methods are collective."""
+    """A state to which particles, and data of the user's own for them, can be added and removed; all methods are collective."""
 
     def add(self, population: Mapping[str, Any]) -> Array:
         """Add particles: the keys of a `[[particles]]` table, or arrays, the same on all ranks. Returns their ids.
 
-        Ids go on from the largest there ever was; attached fields may be given too, and are 0 if not. Raises SceneError, as at
-        the start, for particles that cannot be: overlapping others, outside, ...
+        New ids follow the largest id that was ever used. Attached fields may be given too, and are 0 if not. Raises SceneError,
+        as at the start, for impossible particles: those that overlap others, lie outside, ...
         """
         given = python_values(population)
         same_on_all(self.ranks, {"add": given})
@@ -43,7 +43,7 @@ class Membership(State):
         return np.arange(self.next_id - added, self.next_id)
 
     def remove(self, ids: Any) -> None:
-        """Take away particles that any rank names by id, integers; ValueError, on all ranks, for what no particle has."""
+        """Remove the particles whose ids any rank names; raises ValueError, on all ranks, for ids that no particle has."""
         self.take_changes()
         given = [np.asarray(of).reshape(-1) for of in self.ranks.allgather(ids)]
         if not all(of.dtype.kind in "iu" for of in given if len(of)):
@@ -62,9 +62,9 @@ class Membership(State):
         self.build()
 
     def attach(self, name: str, values: Array) -> None:
-        """Give every particle data of the user's own, or others than before: `values` (N, ...) in id order, any numeric type.
+        """Attach a field of the user's own, or replace it: `values` (N, ...) in id order, any numeric type. Raises ValueError.
 
-        `sim.particles[name]` are this rank's rows from then on; they go with their particles, into checkpoints too.
+        `sim.particles[name]` then has the rows of this rank. They move with their particles, and are saved in checkpoints.
         """
         values = np.asarray(values)
         same_on_all(self.ranks, {"attach": [name, str(values.dtype), list(values.shape)]})

@@ -51,7 +51,7 @@ class Part(Mapping[str, Any]):
 
 
 def frozen(value: Any) -> Any:
-    """An option as it is shown: what is set in a part of it would change nothing, and cannot be."""
+    """Return an option as a user sees it: read-only, because a change to a part of it would have no effect."""
     if isinstance(value, list | tuple):
         return tuple(map(frozen, value))
     if isinstance(value, dict):
@@ -64,8 +64,8 @@ def frozen(value: Any) -> Any:
 class RunningEffect:
     """`sim.effects["uniform_gravity"].acceleration = [0, 0, -1]`, `sim.effects["walls"].active = False`.
 
-    The attributes are the keys of the effect's table in the scene file. A new value is checked as there (SceneError) and
-    counts from the next step on. On several ranks all must set the same. Lists are shown as tuples: a vector is set whole.
+    The attributes are the keys of the effect's table in the scene file. A new value is checked as in the file (SceneError) and
+    counts from the next step on. All ranks must set the same value. Lists appear as tuples: a vector can only be set as a whole.
     """
 
     def __init__(self, sim: Any, name: str):
@@ -96,7 +96,7 @@ class RunningEffects(dict[str, RunningEffect]):
 
 
 def changed_options(scene: Scene, name: str, key: str, value: Any) -> EffectOptions:
-    """The options of an effect with another value of one key. Raises SceneError as a scene file with it would."""
+    """Return the options of an effect with another value of one key. Raises SceneError if a scene file with it would."""
     old: EffectOptions = scene.effects[name]
     kind = type(old)
     if key == "file":
@@ -111,7 +111,7 @@ def changed_options(scene: Scene, name: str, key: str, value: Any) -> EffectOpti
 
 
 def require_masses(sim: Any, scene: Scene, name: str, key: str) -> None:
-    """Raise SceneError if the effect, as in `scene`, divides by masses and there is a particle without. Collective."""
+    """Raise SceneError if the effect, as in `scene`, divides by masses and there is a particle without one. Collective."""
     p = sim.rows
     without = p.id[divided_masses(scene, p.fixed).get(name, False) & (p.mass == 0.0)]
     first = sim.ranks.least(float(without.min()) if len(without) else np.inf)

@@ -21,7 +21,7 @@ from particles_mpi.scene.schema import Scene
 
 
 def require_effect_files(scene: Scene, before: dict[str, str], path: str | Path) -> None:
-    """SceneError where a file of an effect is not what it was when `path` was written; before: `Scene.digests` of then."""
+    """Raise SceneError if the file of an effect has changed since `path` was written; before: `Scene.digests` of that time."""
     now = scene.digests()
     if other := [name for name in before if before[name] != now.get(name)]:
         raise SceneError([f"effects.{name}.file: is not what it was when {path} was written" for name in other])
@@ -31,19 +31,19 @@ class Saved(Membership):
     """A state that can be copied and saved."""
 
     def metadata(self) -> dict[str, Any]:
-        """Clock, counts over all ranks, and scene, as plain data: what a state is besides particles and contacts. Collective."""
+        """Return clock, counts over all ranks, and scene, as plain data: the state without particles and contacts. Collective."""
         self.take_changes()
         totals = self.ranks.allreduce_sum(np.array([self.totals[name] for name in COUNTS])).tolist()
         clock = {"step": self.steps_done, "moment": self.clock_start, "h": self._h, "observed": self.observed}
         return {**clock, "totals": totals, "next_id": self.next_id, "additions": self.additions, "scene": self.scene.to_dict()}
 
     def lasting_contacts(self) -> Memory:
-        """What the lasting contacts of this rank's particles took."""
+        """Return the impulses of the lasting contacts of this rank's particles."""
         return self.persistent.history.remembered() if self.persistent else NOTHING
 
     @classmethod
     def restored(cls, scene: Scene, ranks: Communicator, rows: Particles, metadata: dict[str, Any], contacts: Memory) -> Self:
-        """The simulation that `metadata` tells of, with these particles on this rank, and their contacts. Collective."""
+        """Make the simulation that `metadata` describes, with these particles on this rank, and their contacts. Collective."""
         sim = cls.__new__(cls)
         sim.begin(scene, ranks, rows, metadata["next_id"])
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
@@ -57,11 +57,11 @@ class Saved(Membership):
 
     @classmethod
     def resume(cls, path: str | Path, comm: Any = None, files: dict[str, str] | None = None) -> Self:
-        """The run that wrote the checkpoint, where it stood, on any number of ranks; the same bits from there on.
+        """Restore a simulation from a checkpoint, on any number of ranks; it goes on with the same bits. Collective.
 
-        Each rank reads its share of the particles, and of the contacts, which then go to the ranks that have their particles.
-        `files`: where the files of effects from outside the program are now, by effect, if not where they were; SceneError if
-        what is in them has changed.
+        Each rank reads its share of the particles, and of the contacts, which are then sent to the ranks that have their
+        particles. `files`: where the files of a user's effects are now, by effect, if they were moved. Raises SceneError if what
+        is in them has changed.
         """
         ranks = Communicator(comm)
         with raising_together(ranks):
@@ -88,7 +88,7 @@ class Saved(Membership):
         return sim
 
     def count_on(self, past: dict[str, Any]) -> None:
-        """Go on with what was counted of the run on all ranks, which one of them carries, and with what was remarked."""
+        """Go on with the counts of a resumed run, which rank 0 carries for all ranks, and with its remarks."""
         counts = past["counts"]
         if self.ranks.is_root:
             self.ranks.messages += counts["messages"]
@@ -111,7 +111,7 @@ class Saved(Membership):
         raise TypeError("a Simulation belongs to its ranks, and cannot be pickled: save it by to_json, or by a run's checkpoint")
 
     def to_json(self, path: str | Path, indent: int | None = None) -> None:
-        """Save scene and state, exact to the bit; compact, or readable with `indent`. Collective."""
+        """Save scene and state, exact to the bit; on one line, or readable with `indent`. Collective."""
         metadata = self.metadata()  # takes what was changed, which may make contacts forgotten
         contacts = allgather_rows(self.ranks, self.lasting_contacts()._asdict())
         order = np.lexsort((contacts["partner"], contacts["id"]))
@@ -167,10 +167,10 @@ class Saved(Membership):
 
 
 class StepTrial:
-    """What a step of a simulation changes, kept until it is known whether the step counts.
+    """A copy of what a step of a simulation changes, with which the step can be undone.
 
-    Kept are the particles of this rank, what their lasting contacts took, the counts of what happened, and the evaluations of
-    forces. Interactions and pair tests that were done stay counted.
+    It holds the particles of this rank, the impulses of their lasting contacts, the counts of what happened, and how often forces
+    were evaluated. Interactions and pair tests that were done stay counted.
     """
 
     def __init__(self, sim: Saved):
@@ -179,7 +179,7 @@ class StepTrial:
         self.totals, self.calls, self.tc_elastic = sim.totals.copy(), sim.calls.copy(), sim.drift.exact.tc_elastic
 
     def undo(self) -> None:
-        """Back to where it began. Only once: the kept arrays are handed over."""
+        """Return to the state before the step. It can be called only once: the arrays of the copy become those of the state."""
         sim = self.sim
         sim.rows.replace(self.rows.arrays)
         sim.totals.update(self.totals)

@@ -1,4 +1,4 @@
-"""The state of a simulation: its particles, its clock, its counts, and the scene that it goes by; all of it may be changed."""
+"""The state of a simulation, which a user may change: its particles, its clock, its counts, and the scene that it computes."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -35,22 +35,22 @@ def is_number(value: Any) -> bool:
 
 
 class State:
-    """What a simulation is between two steps. Its user may change it; going on is then as in a new simulation of that state.
+    """What a simulation is between two steps. After a user has changed it, it goes on as a new simulation with that state would.
 
-    A user sets: scene, what it goes by; time; h; particles; effects.
+    A user sets: scene; time; h, the length of a step; particles; effects.
 
-    Kept: ranks; rows, this rank's particles (`particles` is what a user sees of them); ids, where the ids of all lie; total, how
-    many there are on all ranks; next_id, of a particle that is added; additions, how often some were; steps_done; clock_start,
-    the time and the number of steps that the clock counts from. Of this rank, since the start: totals, the COUNTS of what
-    happened, and calls, how often each effect was asked.
+    Kept: ranks; rows, the particles of this rank, of which `particles` is the user's view; ids, the range of the ids on all
+    ranks; total, how many particles there are on all ranks; next_id, that of the next particle to be added; additions, how often
+    some were added; steps_done; clock_start, the time and the number of steps from which the clock counts. Counts of this rank
+    since the start: totals, what happened, by the names in COUNTS; calls, how often each effect was called.
 
-    For output: warnings, of the start; reported and written, counts and steps at the last row of diagnostics and the last frame;
-    observed, time, collisions and virial at the last row of diagnostics with observables, and when `measure` was last called;
-    saved, where the last checkpoint is, and of which step; views, what shows the particles in a notebook.
+    For output: warnings, those of the start; reported, the COUNTS at the last row of diagnostics; written, the steps of the last
+    row and frame; observed, time, collisions and virial at the last row with observables, and at the last call of `measure`;
+    saved, where the last checkpoint is and its step; views, which show the particles in a notebook.
 
-    Made of all this by `build`: context, active, watchdog, persistent, drift, near (the search for neighbours, or None),
-    accelerations, forces (those that are switched on, by name), g (d,) (the acceleration that all have in common), kick,
-    integrator, many_steps.
+    `build` makes from all this: context, active, watchdog, persistent, drift, near (the search for neighbours, or None),
+    accelerations, forces (those that are switched on, by name), g (d,) (the acceleration that all particles have in common),
+    kick, integrator, many_steps.
     """
 
     complete = False  # does it have every attribute that it ever has?
@@ -60,9 +60,9 @@ class State:
     accelerations: Any = None
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """AttributeError for a name that means nothing here, as `dt`: nobody would be told that it changes nothing.
+        """Raise AttributeError for a name without a meaning here, such as `dt`: otherwise such a mistake would go unnoticed.
 
-        A class of the user's that is derived from `Simulation` may have whatever it likes.
+        A user's class that is derived from `Simulation` may have any attributes.
         """
         known = name in vars(self) or not self.complete or hasattr(type(self), name)
         if not known and type(self).__module__.startswith("particles_mpi."):
@@ -73,7 +73,7 @@ class State:
         super().__setattr__(name, value)
 
     def begin(self, scene: Scene, ranks: Communicator, rows: Particles, next_id: int = 0) -> None:
-        """Set all of it from the particles of this rank; `next_id`: of one that is added, or above. Collective."""
+        """Set up the state with the particles of this rank. `next_id`: the least id of a particle that is added. Collective."""
         if digests := scene.digests():
             same_on_all(ranks, {"contents of files of effects": digests})
         self.scene, self.ranks, self.timers = scene.running(), ranks, Timers()
@@ -95,7 +95,7 @@ class State:
         self.complete = True
 
     def build(self) -> None:
-        """All that follows from the scene's effects and from how many particles there are. Collective."""
+        """Make everything that depends on the effects of the scene and on which particles there are. Collective."""
         p, scene, ranks = self.rows, self.scene, self.ranks
         old_drift, old_accelerations = self.drift, self.accelerations
         p.version, p.edition = p.version + 1, p.edition + 1  # nothing that was known of the rows holds any longer
@@ -131,7 +131,7 @@ class State:
 
     @contextmanager
     def stepping(self) -> Iterator[None]:
-        """For a step: Ctrl-C waits for its end; a state in which a step ended halfway cannot be used any more."""
+        """The context of a step: Ctrl-C waits for its end. If the step ends halfway, the state cannot be used any more."""
         step = self.steps_done + 1
         with HeldInterrupt():
             try:
@@ -156,7 +156,7 @@ class State:
         return self.accelerations.sum(self.rows)
 
     def take_changes(self) -> None:
-        """What the user has written into `particles` becomes the state. Called wherever the state is used. Collective."""
+        """Take over what the user has written into `particles`. To be called before the state is used. Collective."""
         if self.broken:
             raise StateError(self.broken)
         try:
@@ -168,13 +168,13 @@ class State:
         self.known_edition = self.rows.edition
 
     def forget_contacts(self) -> None:
-        """What contacts carried belongs to a state that is no more. Collective."""
+        """Forget the impulses of lasting contacts: they belong to the state before a change. Collective."""
         if self.persistent:
             self.persistent.history.forget()
         self.known_edition = self.rows.edition  # changes up to here are known everywhere
 
     def check_values(self, values: dict[str, Array]) -> None:
-        """Raises StateError for values that no particle can have, naming the first that has one."""
+        """Raise StateError for values that no particle can have; it names the lowest id that was given one."""
         p = self.rows
         for name, allowed in value_limits(self.scene, p, values, self.h).items():
             wrong = np.flatnonzero(~allowed)
@@ -197,7 +197,7 @@ class State:
 
     @property
     def time(self) -> float:
-        """The moment the state belongs to. To set it changes nothing but the clock; all ranks set the same."""
+        """The time of the state. Setting it changes nothing but the clock; all ranks must set the same value."""
         since, steps = self.clock_start
         return since + (self.steps_done - steps) * self._h
 
@@ -213,7 +213,7 @@ class State:
 
     @property
     def h(self) -> float:
-        """The length of a step, from the next one on; all ranks set the same."""
+        """The length of a step, from the next step on; all ranks must set the same value."""
         return self._h
 
     @h.setter

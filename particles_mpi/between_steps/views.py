@@ -1,7 +1,7 @@
 """What a user sees of the particles of a rank between two steps.
 
-A user gets copies of the arrays of `Particles`. What is written into a copy is compared with the original at the beginning of the
-next step, and taken over if a bit differs; a scene whose particles nobody looks at pays nothing.
+A user gets copies of the arrays of `Particles`. At the beginning of the next step each copy is compared with the original, and
+taken over if a bit differs. No copies are made of fields that the user does not read.
 """
 
 import weakref
@@ -20,9 +20,9 @@ GUARDED = 8  # arrays of earlier steps that are looked after, in case somebody w
 class ParticleView:
     """`view.position[i]`, `view["charge"]`, `len(view)`: the rows of this rank; `view.id[i]` tells which particle row i is.
 
-    Every field may be changed but `id` and those that each step computes anew: `view.velocity *= -1`, `view.mass[3] = 2.0`. The
-    change counts from the next step on. An array belongs to its moment: after the next step it can only be read, and writing into
-    a part of it that was kept is an error (StateError). `view.arrays` holds all fields, to read only.
+    A user may change every field but `id` and those that each step computes anew: `view.velocity *= -1`, `view.mass[3] = 2.0`.
+    The change counts from the next step on. After that step the array can only be read, and the field must be read again from the
+    view; writing into a part of the old array that was kept raises StateError. `view.arrays` holds all fields, read-only.
     """
 
     _rows: Particles
@@ -91,7 +91,7 @@ class ParticleView:
         return self._rows.select(rows)
 
     def collect(self) -> None:
-        """Take over what the user wrote since the last call. Afterwards the copies hold what counts."""
+        """Take over what the user wrote since the last call. The copies then hold the values of the state."""
         held = self._rows.arrays
         changed = {name: copy for name, copy in self._copies.items() if not same_bits(copy, held[name])}
         if changed:
@@ -100,25 +100,25 @@ class ParticleView:
             self.show()
 
     def show(self) -> None:
-        """Copy the fields of the state into the arrays that the user was given."""
+        """Copy the fields of the state into the arrays that the user has."""
         for name, copy in self._copies.items():
             copy[...] = self._rows.arrays[name]
 
     def forget(self, name: str) -> None:
-        """Arrays of this field that the user was given are of the past, and can only be read."""
+        """Make the arrays of this field that the user has read-only, because they are out of date."""
         for arrays in (self._copies, self._shown):
             if name in arrays:
                 arrays.pop(name).flags.writeable = False
 
     def open(self) -> None:
-        """The state belongs to the user."""
+        """Let the user change the state from now on."""
         vars(self)["_open"] = True
 
     def close(self) -> None:
         """End the time in which the user may change the state: until `open`, fields can only be read.
 
-        Arrays that the user holds become those of an earlier step, read-only for good. StateError if one of an earlier step was
-        written to all the same.
+        Arrays that the user has become those of an earlier step, and read-only. Raises StateError if one of an earlier step was
+        written to nevertheless.
         """
         vars(self)["_open"] = False
         if not self._copies and not self._earlier:
@@ -137,7 +137,7 @@ class ParticleView:
 
 
 def moments_with(rows: Particles, changed: Mapping[str, Array]) -> dict[str, Array]:
-    """Moments of inertia after a change of masses or radii: solid spheres stay that; others keep theirs."""
+    """Return moments of inertia for changed masses or radii: new ones for solid spheres, the old ones for others."""
     if "moment_of_inertia" not in rows.arrays or not changed.keys() & {"mass", "radius"}:
         return {}
     old, mass, radius = rows["moment_of_inertia"], changed.get("mass", rows.mass), changed.get("radius", rows.radius)

@@ -17,11 +17,9 @@ class Options(Losses, EffectOptions):
 
     `allow_overlap`: spheres that overlap at the start are pushed apart, with a warning, instead of being refused.
 
-    `contact_duration` t_c, in mode `event`: a contact within t_c of the last one of either partner takes no energy (TC model). If
-    it is not given, t_c is a ten-thousandth of a step. A contact then takes no energy only if its particle has had many contacts
-    that followed one another within t_c, or at one moment: 8 under forces, more if particles are few or there are no forces
-    (`contacts/README.md`).
-
+    `contact_duration` t_c, in mode `event`: a contact within t_c of the last one of either partner takes no energy (TC model). By
+    default t_c is a ten-thousandth of a step, and a contact then takes no energy only if its particle has had many that followed
+    one another within t_c, or at one moment: 8 under forces, more if particles are few or no force acts (`contacts/README.md`).
     `contact_tolerance`: where forces keep spheres in contact, the part of a radius by which contacts may close in a step, as root
     mean square.
     """

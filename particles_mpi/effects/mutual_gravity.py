@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from particles_mpi.gravity.tree import TreeResult
 
 ACCURACY = 1e-3
-PAIRS = 2 * 10**8  # at once
+PAIRS = 2 * 10**8  # pairs between two checks of signals
 
 
 class Options(EffectOptions):
@@ -149,8 +149,7 @@ def part_with(every: Array, ids: Array) -> slice:
 
 
 def slices(begin: int, end: int, each: int) -> Iterator[slice]:
-    """Yield slices of the numbers begin ... end - 1 with at most PAIRS pairs each (some tenths of a second); check signals before
-    each.
+    """Yield slices of begin ... end - 1 with at most PAIRS pairs, some tenths of a second each; check signals before each.
 
     `each`: how many pairs one number stands for.
     """
@@ -180,9 +179,8 @@ class TreeSum:
         return result.acceleration[:, : particles.dimension]
 
     def potential(self, p: Particles) -> Array:
-        """Return the potential (n,), to which movable sources add half of theirs. Collective.
-
-        It is half of that of the last `pull`, if no particle is fixed and none has moved since.
+        """Return the potential (n,), movable sources counting half: half that of the last `pull`, if none is fixed or moved.
+        Collective.
         """
         known = self.known == places_of(p) and not p.fixed.any()
         if self.ranks.all(known):

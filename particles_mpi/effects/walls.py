@@ -92,7 +92,7 @@ class Effect(WallContacts):
         fields = p.position, p.velocity, p.radius, w
         d, spin = p.dimension, p.arrays.get("spin", np.empty((0, 1)))
         rough = Rough(spin, p.inverse_inertia, self.law, np.empty(d), np.empty(d))
-        nobody = np.empty(0, np.int64)  # who ends near walls is not asked
+        nobody = np.empty(0, np.int64)  # rows that end near walls are not listed
         n = len(p) if noting else 0
         row, wall, time = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
         last = np.empty(len(p)), row, wall, time

@@ -1,8 +1,9 @@
-"""How time goes on: each integrator is a sequence of kicks and drifts.
+"""Time integrators: each advances the particles by one step, as a sequence of kicks and drifts.
 
-`kicks_and_drifts` has the sum of forces, the kick, the integrators "leapfrog", "order4" and "taylor", and takes the one that a
-scene names; `gauss_radau` is "adaptive", whose substeps are in `collocation`, with the numbers of `radau_tables`, and `shaking`
-measures the round-off of forces for it. `many_steps` computes many steps in one loop where it can, by the kernels of
-`compiled_steps` and `step_parts`: they follow these integrators line by line, and a test holds both to the same bits; where
-spheres collide, it does so as long as nobody meets anybody. `length_search` finds the length of a step that ends with a contact.
+- `kicks_and_drifts`: the sum of forces, the kick, the integrators "leapfrog", "order4" and "taylor", and the choice of a scene's
+- `gauss_radau`: the integrator "adaptive"; `collocation`: its substeps; `radau_tables`: their coefficients; `shaking`: measures
+  the round-off of forces
+- `many_steps`: computes many steps in one compiled loop where that is possible; `compiled_steps`, `step_parts`: the kernels of
+  that loop, which follow the integrators line by line, so that they give the same bits (a test compares them)
+- `length_search`: finds the length of a step that ends with a contact
 """

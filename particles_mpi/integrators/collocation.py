@@ -1,18 +1,19 @@
-"""The steps of the integrator `adaptive`, between two evaluations of the forces; scalars and arrays only.
+"""The substeps of the integrator `adaptive`, but for the evaluation of forces. Scalars and arrays only.
 
-Collocation at the eight Gauss-Radau nodes of a step, order 15 (E. Everhart, in Dynamics of Comets, 1985; the choice of the
-step follows H. Rein and D. S. Spiegel, MNRAS 446, 1424, 2015): the acceleration is a polynomial of the time whose values at
-the nodes are those at the positions it leads to, found by iteration. Its highest coefficient over the largest
-acceleration, to the power 1/7, tells how long the step may be.
+A substep is a collocation at its eight Gauss-Radau nodes, of order 15 (E. Everhart, in Dynamics of Comets, 1985; its length is
+chosen as by H. Rein and D. S. Spiegel, MNRAS 446, 1424, 2015). The acceleration is a polynomial of the time. At the nodes it must
+be equal to the acceleration at the positions to which the polynomial itself leads; iteration finds it. Its highest coefficient
+over the largest acceleration, to the power 1/7, tells how long a substep may be.
 
-Far from the origin, or where bodies are close, coordinates round the accelerations, and no step is short enough to make the
-coefficient small (D. Pham, H. Rein, D. S. Spiegel, Open J. Astrophys. 7, 2024, show how steps then shrink for ever). So this
-round-off is measured at the start of each step, by one more evaluation, at positions moved by their own round-off. Below it the
-iteration has converged, and what it makes of the highest coefficient is the least tolerance. Positions carry their round-off
-along (Kahan's sum). Nothing but the state is kept from one step of the scene to the next, so a resumed run has the same bits.
+Far from the origin, or where bodies are close, the rounding of coordinates limits the accuracy of accelerations, and no substep
+is short enough to make the coefficient small (D. Pham, H. Rein, D. S. Spiegel, Open J. Astrophys. 7, 2024, show how substeps then
+shrink for ever). So this round-off is measured at the start of each substep, by one more evaluation of forces at positions that
+are moved by their own round-off. Iteration ends when changes are below it, and the tolerance is never below what it does to the
+highest coefficient. Positions carry their round-off along (Kahan's sum). Nothing but the state is kept from one step of the scene
+to the next, so a resumed run has the same bits.
 
-`go_on` holds all of this, but for the forces: it returns whenever it needs them, at the places that it has set. So forces may
-come from all ranks (`gauss_radau`), or from within one compiled loop (`compiled_steps`), and everything else is the same.
+`go_on` does all of this. Whenever it needs forces, it sets positions and returns. So forces may come from all ranks
+(`gauss_radau`), or from within one compiled loop (`compiled_steps`), and everything else is the same.
 """
 
 from typing import NamedTuple
@@ -71,7 +72,7 @@ class Work(NamedTuple):
 
 
 def work_for(numbers: int) -> Work:
-    """For vectors of so many numbers in all."""
+    """Return empty `Work` for vectors that have so many numbers in all, n d."""
     none = np.zeros(numbers)
     return Work(np.zeros(1, PROGRESS), none, none.copy(), np.zeros((NODES, numbers)), np.zeros((NODES, numbers)), np.zeros(NODES))
 
@@ -107,7 +108,8 @@ def add(total, lost, change, m):
 
 @in_place
 def seventh_root(number):
-    """Of a number of [SHRINK^7, GROW^7], by Newton's method from above: the same bits on every machine, as a power is not."""
+    """The root of a number of [SHRINK^7, GROW^7], by Newton's method from above: the same bits on every machine, unlike a power.
+    """
     root = GROW
     for _ in range(ROOT_ROUNDS):
         power = root * root * root
@@ -127,7 +129,7 @@ def larger(one, other):
 
 @in_place
 def place(x, v, work, tables):
-    """Positions at the node, by the accelerations known so far."""
+    """Set the positions x to those at the present node, by the accelerations known so far."""
     progress, x0, lost, at, _, _ = work
     s = progress[0]
     h, node = s["length"], s["node"]
@@ -137,7 +139,7 @@ def place(x, v, work, tables):
 
 @in_place
 def guess(a, work, tables):
-    """Accelerations at the nodes of a step that begins with a: the last polynomial goes on, if not for too long."""
+    """Guess accelerations at the nodes of a substep that begins with a: by the last polynomial, if it is not too short."""
     progress, _, _, at, last, row = work
     s = progress[0]
     known = s["guessable"] and not s["length"] > GUESSED * s["last_length"]
@@ -154,7 +156,7 @@ def guess(a, work, tables):
 
 @in_place
 def next_try(work, x):
-    """Begin a substep of at most `length` from the places of now."""
+    """Begin a substep of at most `length` at the positions that were reached."""
     progress, x0, _, _, _, _ = work
     s = progress[0]
     left = s["step"] - s["done"]
@@ -165,13 +167,13 @@ def next_try(work, x):
 
 @in_place
 def first_iteration(s):
-    """The next one begins at the first node after the start."""
+    """Prepare an iteration, which begins at the first node after the start of the substep."""
     s["node"], s["before"], s["change"], s["largest"] = 1, s["change"], 0.0, 0.0
 
 
 @in_place
 def still_to_come(change, before):
-    """What the next iteration would change if changes go on shrinking as from `before` to `change`; with caution."""
+    """Estimate, with caution, how much the next iteration would change, if changes shrink again as from `before` to `change`."""
     return min(change, CAUTION * change * (change / before)) if before < np.inf else change
 
 
@@ -206,7 +208,7 @@ def end_of_try(x, v, round_off, left, work, tables):
 
 @lean_in_place
 def begin(x, step, work):
-    """Begin a step of the scene from the places x; then `go_on` with the forces there."""
+    """Begin a step of the scene at the positions x. `go_on` must then be called with the forces there."""
     progress, _, lost, _, _, _ = work
     s = progress[0]
     s["step"] = s["length"] = step
@@ -219,11 +221,11 @@ def begin(x, step, work):
 
 @lean_in_place
 def go_on(x, v, d, force, work, tables):
-    """Carry the step on until something is needed from outside; returns what, which must be there at the next call.
+    """Continue the step until something is needed from outside. Returns what is needed, which must be ready at the next call.
 
-    FORCES: `force` must be the accelerations at x. MAXIMA: noise, change, largest and top in `work.progress` must be the
-    largest ones of all ranks. END: the step is done. STUCK: the next substep would be too short, or round-off hides the
-    motion. x, v, force: vectors of all rows, flat (n d,). d: the dimension.
+    FORCES: `force` must be the accelerations at x. MAXIMA: noise, change, largest and top in `work.progress` must be the largest
+    ones of all ranks. END: the step is done. STUCK: the next substep would be too short, or round-off hides the motion. x, v,
+    force: vectors of all rows, flat (n d,). d: the dimension.
     """
     progress, _, _, at, _, _ = work
     s = progress[0]

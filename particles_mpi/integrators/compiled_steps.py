@@ -26,7 +26,7 @@ HIT, ON_WALLS = 100.0, 3000.0  # ns of a hit of a wall, and of a row whose conta
 
 
 class Scheme(NamedTuple):
-    """Kicks, and the drift after each, as parts of a step; Taylor's rule has one drift."""
+    """The lengths of kicks, and of the drift after each, as parts of a step. Taylor's rule has one drift."""
 
     kicks: Array
     drifts: Array
@@ -35,15 +35,16 @@ class Scheme(NamedTuple):
 
 @lean
 def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, budget, begun):
-    """Up to `steps` steps as of `Composition` or `Taylor`; from step `watch` on, they end where the watchdog would stop the run.
+    """Compute up to `steps` steps, as `Composition` or `Taylor` does. From step `watch` on, end where the watchdog would stop the
+    run.
 
-    Where particles collide, they end before a step in which anyone could meet anyone. `begun` (n, d): room for the velocities at
-    the start of a step; None where nobody collides, and then the kernel is compiled without that test, which would slow it down.
-    budget: how many nanoseconds a step takes, about, in which nobody meets a wall, and after how many the call ends: what rests
-    on walls takes a hundred times as long as what flies.
+    Where particles collide, it ends before a step in which two may meet, or one a wall. `begun` (n, d): room for the velocities
+    at the start of a step; None where particles do not collide: the kernel is then compiled without that test, which would slow
+    it down. budget: about how many nanoseconds a step takes in which no particle meets a wall, and after how many the call ends:
+    a particle that rests on a wall takes a hundred times as long as one that flies.
 
-    Returns (steps done, wall hits, how often a row had no room, sums of forces, are the forces in `bodies.total` those of the
-    present places?).
+    Returns (steps done, wall hits, how often a row had no room, sums of forces, are the forces in `bodies.total` those at the
+    present positions?).
     """
     hits, missed, sums, known, noted = 0, 0, 0, True, 0
     before, near, pushed = -1, -1, 0
@@ -91,12 +92,12 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
 
 @lean
 def adaptive_steps(axes, bodies, flat, forces, space, tables, work, begun, need, done, h, until):
-    """Go on with steps as of `Adaptive`, of which so many are `done`.
+    """Compute further steps, as `Adaptive` does, after `done` of them.
 
-    until: (how many steps there are to be, the first step after which the watchdog looks, about how many sums of forces at most).
-    need: END at first, and between two steps; else as `go_on` returned it. flat: x, v and total of the bodies as vectors (n d,).
-    begun (2, n d): x and v at the start of the present step. Returns (need, steps done, sums of forces); need is END, with fewer
-    steps than asked for, where the watchdog would stop the run.
+    until: (how many steps to compute in all, the first step after which the watchdog looks, about how many sums of forces at
+    most). need: END at first, and between two steps; else what `go_on` returned. flat: x, v and total of the bodies as vectors (n
+    d,). begun (2, n d): x and v at the start of the present step. Returns (need, steps done, sums of forces). If need is END, and
+    fewer steps are done than asked for, the watchdog would stop the run there.
     """
     x, v, total = flat
     steps, watch, most = until

@@ -1,4 +1,4 @@
-"""The integrator `adaptive`: close encounters to round-off, by steps as long as the forces of the moment allow."""
+"""The integrator `adaptive`: it resolves close encounters to round-off, with substeps as long as the present forces allow."""
 
 from collections.abc import Callable
 
@@ -17,15 +17,15 @@ TOLERANCE = 1e-9  # of the highest coefficient over the largest acceleration, wh
 
 
 class Adaptive:
-    """Order 15, with steps of its own choice; `substeps` counts those taken."""
+    """An integrator of order 15 that chooses the length of its substeps; `substeps` counts those taken."""
 
     def __init__(
         self, ranks: Communicator, tolerance: float, forces: Callable[[], Array | None], timers: Timers,
         box: tuple[Array, Array, Array] | None = None,
     ):  # fmt: skip
-        """`forces`: accelerations (n, d) at the positions of the moment, or None.
+        """`forces`: called for the accelerations (n, d) at the present positions; it returns None if there are no forces.
 
-        `box`: corners (d,), and lengths (d,) of periodic axes, if forces are to be given places inside of it.
+        `box`: corners (d,), and lengths (d,) of periodic axes, if positions must be put into the box before forces are evaluated.
         """
         self.box = box
         self.ranks, self.sum_forces, self.timers = ranks, forces, timers
@@ -33,7 +33,7 @@ class Adaptive:
         self.substeps = 0
 
     def advance(self, particles: Particles, h: float, drift: Callable[[float], None]) -> None:
-        """All substeps of a step. What is known of the last one serves the next, within this step."""
+        """Advance by h, in substeps. Each begins with what is known from the last one, but the first with nothing."""
         work = work_for(particles.position.size)
         x, v, force = particles.position.reshape(-1), particles.velocity.reshape(-1), np.empty(0)
         with self.timers("forces"):
@@ -49,10 +49,10 @@ class Adaptive:
                     force = self.accelerations(particles).reshape(-1)
                 need = go_on(x, v, particles.dimension, force, work, self.tables)
         self.substeps += int(work.progress["substeps"][0])
-        drift(0.0)  # whatever belongs to the end of a drift
+        drift(0.0)  # what is done at the end of a drift, such as wrapping positions
 
     def reduce(self, work: Work) -> None:
-        """What decides on the next iteration, over all ranks. Collective."""
+        """Replace the numbers that decide on the next iteration by their maxima over all ranks. Collective."""
         names = ["noise", "change", "largest", "top"]
         largest = self.ranks.allreduce_max(np.array([work.progress[name][0] for name in names]))
         for name, value in zip(names, largest, strict=True):
@@ -66,7 +66,7 @@ class Adaptive:
         return np.zeros_like(particles.position) if a is None else a
 
     def stuck(self, particles: Particles, work: Work) -> StateError:
-        """The error of a step that cannot go on. Collective."""
+        """Return the error about a step that cannot go on. Collective."""
         done, length = float(work.progress["done"][0]), float(work.progress["length"][0])
         x = particles.position
         now = x.copy()
@@ -84,7 +84,7 @@ class Adaptive:
         )
 
     def strongest_pull(self, particles: Particles, a: Array) -> tuple[str, str]:
-        """The particle of the largest acceleration and the one that is nearest to it, and how far apart they are. Collective."""
+        """Return texts: the particle with the largest acceleration and the one nearest to it; their distance. Collective."""
         size, ids = np.abs(a).max(axis=1), particles.id.tolist()
         mine = max(((size[i], -ids[i], particles.position[i]) for i in range(len(ids))), key=lambda one: one[:2], default=None)
         _, pulled, place = max((one for one in self.ranks.allgather(mine) if one), key=lambda one: one[:2])

@@ -1,4 +1,4 @@
-"""The sum of all forces, kicks, which change velocities at fixed positions, and integrators of kicks and drifts by turns."""
+"""The sum of all forces; kicks, which change velocities at fixed positions; integrators that alternate kicks and drifts."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ COMPOSITIONS = {
 def integrator_of(
     scene: Scene, ranks: Communicator, kick: Kick, persistent: Any, closing: Any
 ) -> Adaptive | Taylor | Composition:
-    """The integrator that a scene names; `persistent` keeps contacts that last, and `closing` finishes others, if any do.
+    """Return the integrator that a scene names. `persistent` keeps contacts that last, `closing` completes others, if any do.
 
-    It advances particles by a step of length h, and calls `drift` to move them for a time, with contacts on the way.
+    Its `advance` makes a step of length h, and calls `drift` to move the particles for a time, with contacts on the way.
     Collective.
     """
     name = scene.time.integrator
@@ -47,7 +47,7 @@ def integrator_of(
 
 
 class Accelerations:
-    """The sum of the `forces` of a scene, by name, kept as long as it holds; `calls` counts how often each is asked.
+    """The sum of the `forces` of a scene (by name), which is kept while it holds; `calls` counts the evaluations of each force.
 
     total (n, d): the last sum, or None; g (d,): the sum of those that are the same for all particles; `done`: interactions that
     were computed by forces that are no longer there.
@@ -61,25 +61,25 @@ class Accelerations:
         self.look_at_forces()
 
     def look_at_forces(self) -> None:
-        """What follows from the forces as they are now."""
+        """Set the attributes that depend on which forces there are."""
         self.place_dependent = any(force.place_dependent for force in self.forces.values())
         self.outside = {name: not type(force).__module__.startswith("particles_mpi.") for name, force in self.forces.items()}
         self.collective = any(force.collective for force in self.forces.values())
         self.g[:] = sum((force.g for force in self.forces.values() if force.g is not None), np.zeros_like(self.g))
 
     def replace(self, name: str, force: Force) -> None:
-        """Another force in the place of one."""
+        """Put `force` in the place of the force with that name."""
         self.done += self.forces[name].interactions
         self.forces[name] = force
         self.look_at_forces()
 
     def sum(self, p: Particles) -> Array | None:
-        """Accelerations (n, d) at the present positions, or None without forces; summed anew if anyone moved. Collective."""
+        """Return accelerations (n, d) at the present positions, or None without forces; evaluated anew if needed. Collective."""
         if not self.forces:
             return None
         known = places_of(p) if self.place_dependent else (p.version, p.edition)
         same = known == self.known
-        if self.collective:  # what one rank must sum anew, all do
+        if self.collective:  # if one rank evaluates forces, all do
             same = self.ranks.all(same)
         if same:
             return self.total
@@ -87,7 +87,7 @@ class Accelerations:
         for name, force in self.forces.items():
             before = self.ranks.exchanges
             call_in_place(name, force.add, to_read(p) if self.outside[name] else p, a)
-            if not force.collective and self.ranks.exchanges > before:  # a rank on which nobody moved would not take part
+            if not force.collective and self.ranks.exchanges > before:  # a rank without moved particles would not take part
                 raise StoppedError(
                     f"effects.{name}: its `add` exchanges messages between ranks: its class needs collective = True"
                 )
@@ -105,7 +105,7 @@ class Accelerations:
             energy = asked(name, force.potential, to_read(p) if self.outside[name] else p)
             given = self.ranks.any(energy is not None) if self.outside[name] else energy is not None
             if given:
-                energy = energy if len(p) else np.zeros(0)  # a rank without rows has nothing to say
+                energy = energy if len(p) else np.zeros(0)  # what a rank without rows returns does not matter
                 if np.shape(energy) != (len(p),) or np.asarray(energy).dtype.kind not in "fiub":
                     what = f"{type(energy).__name__} of shape {np.shape(energy)}"
                     raise StoppedError(
@@ -122,12 +122,12 @@ class Accelerations:
 
 
 class Kick:
-    """dv/dt = a + the effects on velocities, over a time h, with a from `forces`, which may be None.
+    """Changes velocities over a time h, by the accelerations from `forces` (which may return None) and the effects on velocities.
 
-    Force and damping are advanced together, exactly; with friction the kick is of second order in h, and near a standstill
-    exact but for drag (`kernels.sliding`). Other flows act one after the other for h/2 before, and in reverse order for h/2
-    after (Strang splitting), so that the whole is symmetric and of second order. Friction and flows act on the velocities that
-    contacts that last leave, not on those that forces alone would give.
+    Force and damping are advanced together, exactly. With friction the kick is of second order in h, and near a standstill exact
+    but for drag (`kernels.sliding`). Other flows act for h/2 before that, and in reverse order for h/2 after it (Strang
+    splitting), so that the whole is symmetric and of second order. Where contacts last, friction and flows act on the velocities
+    that these contacts leave, not on those that forces alone would give.
     """
 
     def __init__(self, effects: ActiveEffects, forces: Callable[[], Array | None], timers: Timers):
@@ -137,7 +137,7 @@ class Kick:
         self.known: tuple[int, int, float] | None = None
 
     def advance(self, particles: Particles, h: float, drift: float = 0.0) -> Array | None:
-        """Velocities after h; returns a (n, d). `drift`: length of the drift that follows, or 0. Collective."""
+        """Kick for a time h; returns a (n, d) or None. `drift`: the length of the drift that follows, or 0. Collective."""
         with self.timers("forces"):
             a = self.forces()
         with self.timers("kick"):
@@ -157,7 +157,7 @@ class Kick:
         return a
 
     def force_and_losses(self, particles: Particles, a: Array | None, h: float, coast: float) -> None:
-        """The same without the other flows. `coast`: length of a drift that follows in which nothing but friction acts."""
+        """Kick without flows. `coast`: length of the drift that follows, if nothing but friction acts in it; else 0."""
         if self.damping is None and self.friction is None:
             if a is not None:
                 kick(particles.velocity, a, h)
@@ -170,7 +170,7 @@ class Kick:
             kick_with_drag(particles.velocity, a, decay, force_time)
 
     def factors_of(self, particles: Particles, h: float) -> tuple[Array, Array]:
-        """(decay, force_time) (n,): by drag, v becomes v decay + a force_time over h; kept until the particles or h change."""
+        """Return (decay, force_time) (n,): over h, drag takes v to v decay + a force_time. Kept until particles or h change."""
         if self.known != (particles.version, particles.edition, h):
             self.known = particles.version, particles.edition, h
             n = len(particles)
@@ -178,11 +178,11 @@ class Kick:
         return self.factors
 
     def undamped(self, particles: Particles, h: float) -> Array | None:
-        """What drag leaves of a velocity that a constant force gives in a time h, as a part of it (n,); None if it is all."""
+        """Return which part (n,) of the velocity that a constant force gives in a time h drag leaves; None if it leaves all."""
         return self.factors_of(particles, h)[1] / h if self.damping and h else None
 
     def rate(self, particles: Particles) -> Array | None:
-        """dv/dt (n, d) by the other flows at the present velocities, or None without any."""
+        """Return dv/dt (n, d) by the flows at the present velocities, or None if there are none."""
         if not self.flows:
             return None
         total = np.zeros_like(particles.velocity)
@@ -196,11 +196,11 @@ class Kick:
 
 
 class Composition:
-    """Kicks and drifts by turns, for parts of a step; `persistent`, if given, keeps contacts that last after each kick, and
-    `closing` gives others, after the last one, what they lack.
+    """Kicks and drifts in turn, with given parts of the step as their lengths. After each kick `persistent`, if given, keeps
+    contacts that last; after the last kick `closing`, if given, adds what the impulses of other contacts lacked.
 
-    Leapfrog is V(h/2) D(h) V(h/2): v to n+1/2, x to n+1, v to n+1. Kicks and drifts are symmetric, so it is of second order
-    with dissipation too, needs one force evaluation, and stays stable for any drag (an explicit -k v in the kicks would not).
+    Leapfrog is V(h/2) D(h) V(h/2): v to n+1/2, x to n+1, v to n+1. Kicks and drifts are symmetric, so it is of second order with
+    dissipation too, needs one force evaluation, and stays stable for any drag (an explicit -k v in the kicks would not).
     """
 
     def __init__(self, kick: Kick, persistent: Any, closing: Any, kicks: tuple[float, ...], drifts: tuple[float, ...]):
@@ -208,7 +208,7 @@ class Composition:
         self.parts = list(zip(kicks, (*drifts, 0.0), strict=True))
 
     def advance(self, particles: Particles, h: float, drift: Callable[[float], None]) -> None:
-        """Each kick is followed by a drift, but for the last."""
+        """Advance by h. A drift follows each kick but the last."""
         for kicked, drifted in self.parts:
             a = self.kick.advance(particles, kicked * h, drifted * h)
             if self.closing and not drifted:
@@ -220,17 +220,17 @@ class Composition:
 
 
 class Taylor:
-    """PBPhys's explicit rule, x += v h + (a - k v) h^2/2 and v += (a - k v) h: first order with drag, or where
-    forces depend on the place; kept as its test.
+    """PBPhys's explicit rule, x += v h + (a - k v) h^2/2 and v += (a - k v) h: of first order with drag, or where forces depend
+    on the place. It is kept for comparisons with PBPhys.
 
-    The same as a drift with the mean velocity v + (a - k v) h/2 between two kicks with the rate a - k v of the start.
+    It is the same as a drift with the mean velocity v + (a - k v) h/2 between two kicks with the rate a - k v at the start.
     """
 
     def __init__(self, kick: Kick):
         self.damped, self.kick = kick.damping is not None, kick
 
     def advance(self, particles: Particles, h: float, drift: Callable[[float], None]) -> None:
-        """v to the mean of the step, x to its end, v to its end by the rate of its start."""
+        """Advance by h: v to the middle of the step, x to its end, v to its end, all with the rate at the start."""
         with self.kick.timers("forces"):
             a = self.kick.forces()
         with self.kick.timers("kick"):

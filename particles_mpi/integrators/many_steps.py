@@ -1,11 +1,11 @@
 """Many steps in one compiled loop, where particles are few, or do not act on one another.
 
-For a few particles a force takes less time than one call of Python, and for many the memory is slower than the arithmetic
-of a step. So the steps up to the next moment at which anyone looks go on inside one kernel, for a block of particles that stays
-in the cache, with the same bits as `Composition`, `Taylor` and `Adaptive` give step by step: it calls the same kernels in the
-same order. On several ranks each rank computes all of a few particles that attract one another, which costs less than a message.
+For a few particles a force takes less time than one call of Python, and for many the memory is slower than the arithmetic of a
+step. So all steps until the next output or check are computed in one kernel, for a block of particles that stays in the cache. It
+calls the same kernels in the same order as `Composition`, `Taylor` and `Adaptive`, and so gives the same bits. On several ranks
+each rank computes all of a few particles that attract one another, which costs less than a message.
 
-Of a few spheres that collide it computes the steps in which nobody meets anybody, which are most; the others are for `Drift`.
+Of a few spheres that collide it computes the steps in which none meets another one or a wall: most. `Drift` does the others.
 """
 
 from math import inf
@@ -32,10 +32,10 @@ from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.effect import Context
 
 BLOCK_ROWS = 4096  # rows that are advanced together: what is needed of them stays in the cache
-LONGEST_CALL = 1e8  # ns in one call, about, so that Ctrl-C is heard
+LONGEST_CALL = 1e8  # ns of one call, about, so that Ctrl-C is noticed soon
 PAIR_NS, ROW_NS, STEP_NS = 3.0, 8.0, 50.0  # ns of a pair, a row, and everything else in a step, at most
-MOST_SPHERES = 16  # that collide: of more, some meet in most steps, and those are not for this
-FEW_STEPS = 3  # so many at least are worth the search after them; after fewer comes a pause, ever longer up to LONGEST_PAUSE
+MOST_SPHERES = 16  # that collide: of more, some meet in most steps, which need `Drift`
+FEW_STEPS = 3  # so many are worth the search that follows; after fewer comes a pause, ever longer up to LONGEST_PAUSE
 LONGEST_PAUSE = 127
 SUM = "sum of forces"  # a name that no field has
 NONE = np.empty(0, bool)
@@ -51,7 +51,7 @@ class RowsTogether(NamedTuple):
 
 
 class ManySteps:
-    """Computes steps of the rows of this rank, or of at most `ONE_SUM` particles of all ranks."""
+    """Computes many steps at once, for the rows of this rank or for at most `ONE_SUM` particles of all ranks."""
 
     def __init__(
         self, rows: Particles, context: Context, effects: ActiveEffects, summed: Accelerations, drift: Drift, rule: Any,
@@ -64,19 +64,19 @@ class ManySteps:
         self.blocks: list[RowsTogether] = []
         self.direct = next((force.direct for force in summed.forces.values() if force.direct), None)
         self.collide = effects.pairs is not None
-        self.clear = 0  # steps so far since somebody met somebody
-        self.pause = self.pausing = 0  # steps in which nothing is tried, after the last meeting, and left of them
-        self.ordered = self.direct is not None or isinstance(rule, Adaptive)  # do sums go over all particles in the order of ids?
+        self.clear = 0  # steps since the last one in which particles met
+        self.pause = self.pausing = 0  # steps for which this is not tried after the last meeting, and how many of them are left
+        self.ordered = self.direct is not None or isinstance(rule, Adaptive)  # are sums over all particles, in the order of ids?
         self.together = self.ordered or self.collide  # all particles in the same kernel?
         alone = context.ranks.size == 1 and not (self.ordered and self.collide)  # else a new order would cost a search
-        self.own = alone or not self.together  # are the rows here enough, as they are?
+        self.own = alone or not self.together  # are this rank's rows used as they are?
         self.axes = (0,) * rows.dimension
         kicks, drifts = np.array(rule.parts).T if isinstance(rule, Composition) else np.array([[0.5], [1.0]])
         self.scheme = Scheme(kicks.copy(), drifts.copy(), isinstance(rule, Taylor))
 
     @staticmethod
     def suit(effects: ActiveEffects, total: int, persistent: Any) -> bool:
-        """Do these kernels compute all that there is, for so many particles?"""
+        """Can these kernels compute all effects of the scene, for `total` particles?"""
         if effects.flows or effects.events or effects.rough:
             return False
         one_drift = effects.integrator in ("leapfrog", "taylor")
@@ -90,9 +90,9 @@ class ManySteps:
         return known and not (together and (persistent or total > ONE_SUM))
 
     def advance(self, h: float, steps_done: int, most: int) -> int:
-        """Up to `most` steps of length h, the first one after `steps_done`; returns how many. Collective.
+        """Compute up to `most` steps of length h, the first one after `steps_done`; returns how many. Collective.
 
-        0 where spheres collide, if any may meet another one, or a wall, in the first step, or if they did so again and again.
+        Where spheres collide: 0 if one may meet another one or a wall in the first step, and in a pause after such steps.
         """
         if self.pausing:
             self.pausing -= 1
@@ -126,7 +126,7 @@ class ManySteps:
         return done
 
     def try_again(self, h: float, done: int, most: int) -> None:
-        """Decide when, after `done` steps of spheres that collide, of `most` that were wanted."""
+        """Decide when to try again, where spheres collide, after `done` of the `most` steps that were wanted."""
         self.clear += done
         if done < most:
             self.pause = self.pause // 2 if self.clear >= FEW_STEPS else min(2 * self.pause + 1, LONGEST_PAUSE)
@@ -136,12 +136,12 @@ class ManySteps:
             self.drift.pass_by(h, done)
 
     def fixed_steps(self, h: float, most: int, watch: int) -> tuple[int, int, int, int, bool]:
-        """Steps of `Composition` or `Taylor`: what `fixed_steps` returns, of all blocks."""
+        """Compute steps of `Composition` or `Taylor`; returns what the kernel `fixed_steps` returns, for all blocks together."""
         n, parts = self.context.ids.total, len(self.scheme.kicks)
         cost = STEP_NS + ROW_NS * n + PAIR_NS * n * n * (parts * (self.direct is not None) + self.collide)
         longest, most = LONGEST_CALL, min(most, max(1, int(LONGEST_CALL / cost)))
-        if len(self.blocks) > 1 or (self.own and self.context.ranks.size > 1):  # what stops one block must stop all
-            most = min(most, watch)  # the watchdog of all looks then
+        if len(self.blocks) > 1 or (self.own and self.context.ranks.size > 1):  # all blocks must end with the same step
+            most = min(most, watch)  # the watchdog is called after that step
             watch, longest = most + 1, inf
         hits = missed = 0
         for block in self.blocks:
@@ -151,7 +151,7 @@ class ManySteps:
         return done, hits, missed, sums, known
 
     def adaptive_steps(self, h: float, steps: int, watch: int) -> tuple[int, int]:
-        """Steps of `Adaptive`: (how many, sums of forces). StateError if the first one gets stuck."""
+        """Compute steps of `Adaptive`; returns (steps done, sums of forces). StateError if the first one gets stuck."""
         (bodies, forces, _, space), rule = self.blocks[0], self.rule
         work, begun = work_for(bodies.x.size), np.zeros((2, bodies.x.size))
         n = len(bodies.x)
@@ -168,12 +168,12 @@ class ManySteps:
             if done == 0:
                 self.give_back()
                 raise rule.stuck(self.rows, work)
-            flat[0][:], flat[1][:] = begun  # the next call will tell
+            flat[0][:], flat[1][:] = begun  # the next call begins with this step and raises the error
         rule.substeps += int(work.progress["substeps"][0])
         return done, sums
 
     def gather(self, h: float, total: Array | None) -> None:
-        """The rows to be advanced, and what acts on them; `total` (n, d): the sum of forces on this rank's. Collective."""
+        """Collect the rows to be advanced and what acts on them; `total` (n, d): the sum of forces on this rank's. Collective."""
         p, ranks = self.rows, self.context.ranks
         if self.own and self.known == (p.version, p.edition, h):
             if total is not None and self.direct:
@@ -239,7 +239,7 @@ class ManySteps:
         return OnWalls(persistent is not None, (0.0,) * d, supported, point, normal, walls.faces, *room)
 
     def losses_of(self, p: Particles, h: float) -> StepLosses:
-        """What happens in the kicks of a step of length h besides forces."""
+        """Return damping and friction for the kicks of a step of length h."""
         damping, friction, kicks = self.effects.damping, self.effects.friction, self.scheme.kicks.tolist()
         strength = friction.strength if friction else 0.0
         if not (damping or friction):
@@ -250,7 +250,7 @@ class ManySteps:
         return StepLosses(decay, force_time, friction is not None, strength, not (damping or self.summed.forces))
 
     def give_back(self) -> None:
-        """To this rank's rows what the kernels have changed."""
+        """Copy what the kernels have changed to the rows of this rank."""
         if self.own:
             return
         p, (bodies, _, _, space) = self.rows, self.blocks[0]

@@ -12,12 +12,12 @@ NODES = 8
 
 
 class Tables(NamedTuple):
-    """Of the Gauss-Radau nodes, as `radau` gives them; tolerance: of the highest coefficient;
-    coarsest: the largest one that a scene may give.
+    """Coefficients for the Gauss-Radau nodes, as `radau` computes them. tolerance: that of the highest coefficient; coarsest: the
+    largest tolerance that a scene may give.
 
-    c (8,): nodes in [0, 1). twice (8, 8): what the accelerations at the nodes add to the places there; once_end, twice_end (8,):
-    to velocity and place at the end. lagrange (8, 8): polynomials; highest (8,): their highest coefficients. gain: of round-off,
-    in the highest coefficient.
+    c (8,): nodes in [0, 1). twice (8, 8): what the accelerations at the nodes add to the positions there; once_end, twice_end
+    (8,): to velocity and position at the end. lagrange (8, 8): polynomials; highest (8,): their highest coefficients. gain:
+    round-off of the highest coefficient over that of accelerations.
     """
 
     c: Array
@@ -32,7 +32,7 @@ class Tables(NamedTuple):
 
 
 def radau(tolerance: float) -> Tables:
-    """The tables. With L_j the Lagrange polynomial of node j, of which `lagrange` has the coefficients (node, power):
+    """Compute the tables. L_j is the Lagrange polynomial of node j, whose coefficients are in `lagrange` (node, power).
 
     once_end[j] is the integral of L_j from 0 to 1; twice[i, j] the integral of its integral, from 0 to c_i; twice_end[j] to 1.
     """

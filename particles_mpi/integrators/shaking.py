@@ -1,4 +1,4 @@
-"""What round-off of places does to forces is measured by moving each coordinate a little, at random but always alike."""
+"""Measures what the round-off of positions does to forces: moves each coordinate a little, at random but reproducibly."""
 
 import numpy as np
 
@@ -17,10 +17,10 @@ def random_factor(number, attempt):
 
 @lean
 def shake(x, d, attempt):
-    """Move each coordinate of x (n d,) by up to SHAKEN units in its last place, and bodies at the same place alike.
+    """Move each coordinate of x (n d,) by up to SHAKEN units in its last place; bodies at the same position move together.
 
-    By what depends on the place, the axis and the attempt. If it were on the id, bodies at the same place, between which no
-    force acts, would be torn apart, and their force, huge all of a sudden, be taken for round-off.
+    The shift depends on position, axis and attempt. If it depended on the id, bodies at the same position, between which no force
+    acts, would be separated, and the huge force between them would be taken for round-off.
     """
     for first in range(0, len(x), d):
         place = np.uint64(0)

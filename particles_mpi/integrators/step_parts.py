@@ -103,10 +103,10 @@ def sum_forces(axes, x, mass, fixed, forces, total):
 
 @kernel(_nrt=True)  # also where a @lean kernel calls it
 def keep_on_walls(axes, bodies, losses, part, space, h, kicked, near):
-    """As `PersistentContacts.keep`, after kick number `part` over a time `kicked`.
+    """Keep contacts with walls, as `PersistentContacts.keep` does, after kick number `part` over a time `kicked`.
 
-    near: how many rows of `on_walls.near` are filled, with the rows near walls; -1 if it is not.
-    Returns (how many rows contacts push, how many rows contacts were solved for).
+    near: how many rows of `on_walls.near` are filled, with the rows near walls; -1 if they are not known. Returns (how many rows
+    contacts push, for how many rows contacts were solved).
     """
     on_walls = space.on_walls
     x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, on_walls.supported
@@ -130,9 +130,10 @@ def keep_on_walls(axes, bodies, losses, part, space, h, kicked, near):
 
 @in_place
 def set_rates(axes, bodies, space, before, pushed, t_mid):
-    """As `Drift.rates`: accelerations of rows, and what contacts give to the first `pushed` of `on_walls.pushed` besides.
+    """Set the rates of rows, as `Drift.rates`: accelerations, and what contacts add for the first `pushed` of `on_walls.pushed`.
 
-    before: how many rows of `on_walls.had` have more than that from the last drift; -1 if not even accelerations are there.
+    before: for how many rows, those in `on_walls.had`, rates still have such an addition from the last drift; -1 if there are
+    none yet.
     """
     rates, on_walls, total = space.rates, space.on_walls, bodies.total
     for i in range(len(total) if before < 0 else before):
@@ -147,7 +148,7 @@ def set_rates(axes, bodies, space, before, pushed, t_mid):
 
 @in_place
 def move(axes, bodies, space, strength, h, t_mid):
-    """The drift of `Drift.advance`, without pairs; returns what `drift_with_walls` does, of rows in `on_walls.near`."""
+    """Drift as `Drift.advance` does without pairs; returns what `drift_with_walls` does, with near rows in `on_walls.near`."""
     hits, missed, near, noted = 0, 0, 0, 0
     if space.bounded:
         rates = Rates(space.rates, bodies.drag, strength, t_mid)
@@ -189,7 +190,7 @@ def copy_rows(given, into):
 
 @in_place
 def someone_meets(axes, bodies, space, h, begun):
-    """May anyone meet anyone in a drift over h? Then velocities are again those `begun` with at the start of the step."""
+    """May a particle meet another one or a wall in a drift over h? Then velocities are set back to `begun`."""
     if all_clear(axes, bodies.x, bodies.v, bodies.radius, h, space.length, space.bounded, space.planes):
         return False
     copy_rows(begun, bodies.v)

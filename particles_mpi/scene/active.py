@@ -13,9 +13,9 @@ Kind = TypeVar("Kind", bound=kinds.Effect)
 
 
 class ActiveEffects:
-    """The effects of a scene, built from their options and sorted by kind; with `switched_off`, also those that are not active.
+    """The effects of a scene, built from their options, as attributes for each kind; with `switched_off`, also those not active.
 
-    all: every effect by name, in the order of the scene; forces, flows, events: those of that kind, by name; damping, friction,
+    all: every effect by name, in the order of the scene; forces, flows, events: those of a kind, by name; damping, friction,
     rolling, walls, pairs: the only one of its kind, or None; on_velocities: names of those that act on velocities in a kick.
     """
 
@@ -60,7 +60,7 @@ class ActiveEffects:
     @property
     def planes(self) -> Any:
         """The walls, as `kernels.planes.Planes`, of which there may be none."""
-        from particles_mpi.kernels.planes import no_planes  # here, for a scene can be read where no kernels can be kept
+        from particles_mpi.kernels.planes import no_planes  # here: a scene is read without compiled kernels
 
         return self.walls.planes if self.walls else no_planes(self.dimension)
 
@@ -109,6 +109,6 @@ def fields_of(scene: Scene) -> list[str]:
     }
     needed = {*ALWAYS, *(name for name, condition in conditions.items() if condition)}
     needed |= {name for effect in effects.all.values() for name in effect.needs.columns}
-    if needed & {"spin", "moment_of_inertia", "orientation"}:  # no one of them is anything without the first two
+    if needed & {"spin", "moment_of_inertia", "orientation"}:  # each of them needs the first two
         needed |= {"spin", "moment_of_inertia"}
     return [name for name in BUILT_IN if name in needed] + sorted(needed & FIELDS.keys() - set(BUILT_IN))

@@ -65,7 +65,7 @@ class Context(NamedTuple):
     @property
     def box(self) -> Any:
         """The corners and lengths of the box together, a `kernels.geometry.Box`."""
-        from particles_mpi.kernels.geometry import Box  # here, for a scene can be read where no kernels can be kept
+        from particles_mpi.kernels.geometry import Box  # here: a scene is read without compiled kernels
 
         return Box(self.lower, self.upper, self.length)
 
@@ -109,12 +109,12 @@ class Force(Effect):
     """A force: it adds to the accelerations of particles, and never overwrites them."""
 
     role = "force"
-    place_dependent: ClassVar[bool] = True  # False: summed anew only where somebody has changed a field of the particles
+    place_dependent: ClassVar[bool] = True  # False: evaluated anew only after a user's change, or where rows moved
     collective: ClassVar[bool] = False  # does `add` communicate? Then all ranks call it together
-    of_movable: ClassVar[bool] = False  # is `potential` that of movable particles only, which have the part of fixed ones too?
+    of_movable: ClassVar[bool] = False  # True: `potential` of movable particles has the part of fixed ones too
     g: Any = None  # the acceleration (d,), if it is the same for every particle
     direct: Any = None  # the sum over all pairs, with its `G` and `softening2`, if that is what the force adds
-    interactions: Any = 0  # pairs, or what is put in their place, that were computed so far: for comparisons of cost
+    interactions: Any = 0  # pairs, or tree interactions, computed so far: for comparisons of cost
 
     def add(self, particles: Particles, acceleration: Array) -> None:
         """Add the acceleration by this force to `acceleration` (n, d), for the rows of this rank. In place."""

@@ -15,9 +15,9 @@ from particles_mpi.scene.effect import EffectOptions, Event, Force, VelocityFlow
 from particles_mpi.scene.model import faults_of, key_of, python_values, suggestion
 
 PACKAGE = "particles_mpi.effects"
-# What a user's effect must have, by its kind. Of each other kind there is one, which the program computes together with others
+# The method that a user's effect must have, by its kind. Each of the other kinds has one effect, which is the program's own.
 METHODS = {Force: "add", VelocityFlow: "advance", Event: "act"}
-OUTSIDE = "particles_mpi_effect"  # modules of effects from outside the package are called so, with a digest of path and content
+OUTSIDE = "particles_mpi_effect"  # the name of modules from outside the package begins so; a digest of path and content follows
 
 
 def effect_names() -> list[str]:

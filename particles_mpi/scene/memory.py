@@ -8,8 +8,8 @@ from particles_mpi.scene.schema import Scene
 
 # Bytes: `python tests/benchmarks/speed.py memory` measures them.
 LIBRARIES = 190_000_000  # of a rank: Python, libraries, and compiled kernels
-# Of a particle, besides its columns: at the start and for output; and what comes to that for pairs that may meet, for a tree, and
-# for the contacts of a particle in a pile, some nine half-edges at the most.
+# Of a particle, besides its columns: always, for the start and output; and in addition for candidate pairs, for a tree, and for
+# the contacts of a particle in a pile, about nine half-edges at most.
 ALWAYS, PAIRS, TREE, PILES = 190, 430, 240, 4200
 CGROUPS = Path("/sys/fs/cgroup")
 

@@ -29,7 +29,7 @@ class Model(BaseModel):
     """The base class of all tables. It is strict: an unknown key, or a number that is given as text, is an error."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-    _running: bool = PrivateAttr(False)  # does a simulation go by it?
+    _running: bool = PrivateAttr(False)  # does a simulation use it? Then it is read-only
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in type(self).model_fields and self._running:
@@ -75,7 +75,7 @@ def held(value: Any) -> list[Any]:
         parts = [inner for _, inner in value]
     elif isinstance(value, dict):
         parts = [*value, *value.values()]
-    else:  # of a list of numbers, which may be very long, nothing
+    else:  # nothing of a list of numbers, which may be very long
         parts = value if value and isinstance(value[0], BaseModel | dict | str) else []
     return parts + [part for inner in parts if isinstance(inner, list | dict | BaseModel) for part in held(inner)]
 
@@ -113,7 +113,7 @@ def misspelt(missing: Any, given: Any, known: list[str]) -> str:
 def key_of(location: tuple[Any, ...]) -> str:
     text = ""
     for part in location:
-        name = part if str(part).isprintable() else repr(part)  # a fault is one line, whatever the key
+        name = part if str(part).isprintable() else repr(part)  # a key may hold a newline, but a fault is one line
         text += f"[{part}]" if isinstance(part, int) else f".{name}" if text else str(name)
     return text
 

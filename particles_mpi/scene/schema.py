@@ -99,7 +99,7 @@ class Scene(Model):
     particles: list[Population]
     effects: Annotated[dict[str, Any], BeforeValidator(validated_effects)] = Field(default_factory=dict)
     output: Output = Output()
-    _validated: list[Any] = PrivateAttr([])  # what was `held` then
+    _validated: list[Any] = PrivateAttr([])  # what `held` gave at the last validation
 
     def __init__(self, **tables: Any):
         try:
@@ -144,13 +144,13 @@ class Scene(Model):
         if len(now) == len(self._validated) and all(map(is_, now, self._validated)):
             return self
         output: Any = self.output
-        if isinstance(output, Output):  # defaults follow what was changed
+        if isinstance(output, Output):  # keys that were not set get their defaults anew
             output = output.model_dump(exclude_unset=True) | ({"formats": output.formats} if output.formats != FORMATS else {})
         return self.from_dict(self.to_dict() | {"output": output}, self.folder)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the tables from which this scene can be made again, as plain lists, numbers and text."""
-        tables = self.model_dump(  # also of what a script has set, see `checked`
+        tables = self.model_dump(  # including what a script has set, see `checked`
             mode="json", exclude_none=True, exclude={"effects"}, warnings=False, fallback=python_values
         )
         effects = {
@@ -215,7 +215,7 @@ class Scene(Model):
                 faults.append(f'output.formats: files of VTK have three axes at most; in dimension {d} use "hdf5"')
         if "every" not in self.output.model_fields_set and 0 < self.steps < self.output.every:
             self.output.every = self.steps
-            self.output.model_fields_set.discard("every")  # nobody has set it
+            self.output.model_fields_set.discard("every")  # the user has not set it
         for number, population in enumerate(self.particles):
             faults += population_faults(self, f"particles[{number}]", population)
         if self.output.orientation and not self.rough:
