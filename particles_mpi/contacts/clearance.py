@@ -1,4 +1,4 @@
-"""Will anyone meet anyone in a drift? Of a few spheres, all pairs are asked."""
+"""Can any contact take place in a drift? For a few spheres, all pairs are tested."""
 
 import numpy as np
 
@@ -34,7 +34,7 @@ def images_are_far(axes, x, v, radius, h, length):
 
 @in_place
 def all_clear(axes, x, v, radius, h, length, bounded, planes):
-    """Does no row of x, v (n, d) meet another one, or a wall, on a straight path over h? Quick, and never wrongly True.
+    """Is it sure that no row of x, v (n, d) meets another one, or a wall, on a straight path over h? It is a quick test.
 
     length (d,): of the box on periodic axes, 0 on others; bounded: are there walls?
     """

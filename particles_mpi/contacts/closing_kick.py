@@ -1,19 +1,19 @@
-"""What the closing kick of a step gives to contacts in its drift, under forces that depend on the place.
+"""The closing kick of a step completes the impulses of the contacts in its drift, under forces that depend on the position.
 
 A contact at time t of a drift over h takes place between the velocities that its partners have then. With the accelerations a0 at
 the start of the drift and a1 at its end, and the velocity v of its middle, that is
 
     v(t) = v + a0 (t - h/2) + (a1 - a0) t^2/(2 h),
 
-and so it is seen from both ends: the rule is the same backwards in time. But a1 is known after the drift only. So a contact is
-computed with a0 (`velocity_flow`), and lacks the last term. Both partners get what the impulse lacks in the closing kick,
+and it is the same from both ends: the rule is the same backwards in time. But a1 is known only after the drift. So a contact is
+computed with a0 (`velocity_flow`), without the last term. The closing kick gives both partners what the impulse lacked,
 
     -(1 + e) mu (n.u) n,    u = (a1 - a0) t^2/(2 h),    a: of one partner minus that of the other, mu: their reduced mass,
 
-with the unit vector n between their centres; and rough ones that stick for any impulse what it lacks across n, as in `rough`.
-Without it all bounces err to one side, and the energy drifts with their number. It is given at the places at the end of the
-drift, so that angular momentum is kept, and nothing where accelerations do not change. What gets it is the last contact of a
-particle in a drift, if it is the last one of its partner too.
+with the unit vector n between their centres. Rough spheres that stick for any impulse also get what it lacked across n, as in
+`rough`. Otherwise all bounces would err to one side, and the energy would drift with their number. This impulse acts at the
+positions at the end of the drift, so that angular momentum is kept; it is 0 where accelerations do not change. Only a contact
+that is the last one of both its partners in the drift is completed.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ class ClosingKick:
         self.forget()
 
     def forget(self) -> None:
-        """There was no contact."""
+        """Forget the contacts of the drift: there is nothing to complete."""
         self.last: LastContacts | None = None
 
     def note(self, last: LastContacts, h: float) -> None:
-        """These were the last contacts of a drift over h, at the end of which the rows are now."""
+        """Remember the last contacts of a drift over h, at the end of which the rows are now."""
         self.last, self.h = last, h or 1.0  # in no time nothing is lacking
 
     def finish(self, a: Array) -> None:
-        """The velocities after the closing kick, with accelerations a (n, d), get what they lack. Collective."""
+        """Complete the impulses, after the closing kick with accelerations a (n, d). Changes velocities and spins. Collective."""
         if self.last is None:
             return
         p, (row, partner, time, fixed) = self.rows, self.last
@@ -82,7 +82,7 @@ class ClosingKick:
         self.forget()
 
     def table(self, row: Array, partner: Array, time: Array, fixed: dict[str, Array], change: Array) -> dict[str, Array]:
-        """What is known of both partners: of each of our rows, then of partners that are fixed, and of walls."""
+        """Return a table of all partners of contacts: first our rows, then partners that are fixed, and walls."""
         p = self.rows
         ours = {
             "id": p.id[row],
@@ -106,7 +106,7 @@ class ClosingKick:
         return both | {"low": np.minimum(both["id"], partners), "high": np.maximum(both["id"], partners), "time": times}
 
     def across_ranks(self, table: dict[str, Array]) -> Array:
-        """`impulses` of contacts whose partners are on different ranks, which meet on a third one. Collective."""
+        """Return `impulses` of contacts between two ranks: a third one gets both partners and answers. Collective."""
         if not self.ranks.any(len(table["id"]) > 0):
             return np.empty((0, 1))
         rows, counts = by_destination(table["low"] % self.ranks.size, self.ranks.size)
@@ -118,7 +118,7 @@ class ClosingKick:
         return by
 
     def impulses(self, table: dict[str, Array]) -> tuple[Array, Array]:
-        """By how much velocities, and behind them spins, change (m, d + spins); whose contact is the last of both (m,)."""
+        """Return changes (m, d + spins) of velocities and spins, and which rows (m,) have their partner in the table."""
         d, ids, w = self.rows.dimension, table["id"], table["inverse_mass"]
         spins = d * (d - 1) // 2 if self.rough else 0
         by, met = np.zeros((len(ids), d + spins)), np.zeros(len(ids), bool)
@@ -155,7 +155,7 @@ class ClosingKick:
 
 
 def torques(normal: Array, impulse: Array) -> Array:
-    """n x J (m, d(d-1)/2) of unit vectors and impulses (m, d), in the components of spins."""
+    """Return n x J (m, d(d-1)/2) of unit vectors and impulses (m, d), in the components of spins."""
     d = normal.shape[1]
     found = np.empty((len(normal), d * (d - 1) // 2))
     for p in range(d):

@@ -1,6 +1,6 @@
-"""The drift of a step: positions over a time, with whatever particles meet on the way.
+"""The drift of a step: particles move for a time, with every contact on the way.
 
-A scene loads the operator of its mode only if it has pairs that collide, and the search for neighbours with it.
+A scene loads the operator of its mode, and the search for neighbours, only if it has pairs that collide.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ WORK = ("pair_tests", "pair_searches", "ghost_rows", "windows", "windows_redone"
 class Drift:
     """Moves the rows of this rank.
 
-    persistent: keeps contacts that last; near: knows the neighbours; operator: does the contacts of pairs, one for each mode;
-    each of them may be None. accelerations: called for the accelerations (n, d) of this moment. totals: counts of what
-    happened, by the names of COUNTS; calls: how often each effect was asked.
+    persistent: keeps contacts that last; near: the search for neighbours; operator: computes the contacts of pairs, one class for
+    each mode; any of these may be None. accelerations: called for the present accelerations (n, d). totals: counts of what
+    happened, by the names of COUNTS; calls: how often each effect was called.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Drift:
         self.closing = ClosingKick(rows, context, effects) if effects.finishes_bounces else None
 
     def load_operator(self, pairs: PairContacts) -> None:
-        """The collision operator that the scene names, and its search for neighbours. Collective."""
+        """Load the collision operator that the scene names, and its search for neighbours. Collective."""
         if pairs.options.mode == "event":
             self.near = self.operator = self.exact
             return
@@ -85,7 +85,7 @@ class Drift:
 
     @cached_property
     def exact(self) -> EventDriven:
-        """The operator `event`; in mode rewind it does what `passes` cannot, and drifts that end at a collision. Collective."""
+        """The operator `event`, also in mode rewind: where `passes` are too few, or to end at a collision. Collective."""
         from particles_mpi.contacts.event_driven.operator import EventDriven
 
         assert self.effects.pairs
@@ -99,7 +99,7 @@ class Drift:
         self.persistent.keep_crowds(self.rows, accelerations, h, tried)
 
     def advance(self, h: float, time: float, rates: Rates, contacts: bool = True, stop: bool = False) -> None:
-        """Positions over h from `time` on, while velocities change by `rates`. Collective.
+        """Move the particles over h, from `time` on, while velocities change by `rates`. Collective.
 
         Without `contacts` particles pass through one another and through walls; with `stop` it ends at the first collision.
         """
@@ -147,13 +147,13 @@ class Drift:
                 wrap(p.position, context.lower, context.upper, context.length)
 
     def pass_by(self, h: float, drifts: int) -> None:
-        """So many drifts over h were done by `ManySteps`, in which nobody of those who collide met anybody."""
+        """Take note of drifts over h that `ManySteps` has done, in which no particle that collides met anything."""
         assert self.operator
         self.calls.update(dict.fromkeys(self.contact_names, drifts))
         self.operator.pass_by(h, drifts)
 
     def act(self, events: dict[str, Event], h: float) -> bool:
-        """Events at the end of the drift; was any row of this rank changed?"""
+        """Call the events at the end of the drift. Returns whether any row of this rank was changed."""
         changed = 0
         for name, event in events.items():
             with self.context.timers("events"):
@@ -165,13 +165,14 @@ class Drift:
         return changed > 0
 
     def rates(self, g: Array, total: Array | None, middle: float) -> Rates:
-        """How velocities change between the contacts of this step.
+        """Return the `Rates` at which velocities change between the contacts of this step.
 
-        g (d,): what all particles have in common; total (n, d): the sum of all forces, None without any; they stand in a field
-        of the particles where they differ from one to another. middle: half of the step, as a time from its start.
+        g (d,): the acceleration that all particles have in common; total (n, d): the sum of all forces, None without forces.
+        Where it differs between particles it is stored in their field `total_acceleration`. middle: half of the step, as a time
+        from its start.
 
-        Other flows of velocities are left out: what their rate would be after a contact is not known, and with that of before,
-        what does no work, as a magnetic field, would change the energy.
+        Velocity flows are left out. Their rate after a contact is not known, and with the rate before it a flow that does no
+        work, such as a magnetic field, would change the energy.
         """
         p, none = self.rows, np.empty((0, self.rows.dimension))
         if "total_acceleration" in p.arrays:
@@ -190,14 +191,14 @@ class Drift:
         return Rates(g[None, :] if kicked else none, np.zeros(len(self.damping)), self.strength, middle)
 
     def continue_counts(self, before: Drift) -> None:
-        """Count on from where the drift stood that this one replaces. Collective."""
+        """Continue the counts of the drift object that this one replaces. Collective."""
         self.totals, self.calls = before.totals, before.calls
         if self.persistent:
             self.persistent.totals = self.totals
         self.past_work, self.past_remarks = before.work(), before.remarks_of_operators()
 
     def remarks(self) -> list[str]:
-        """What happened that a user should know of, a line each. Collective."""
+        """Return what happened that a user should know, one line for each remark. Collective."""
         counts = np.array([self.totals["missed"], self.totals["unconverged"]])
         missed, unsolved = self.context.ranks.allreduce_sum(counts).tolist()
         more = [f"contacts that last: {unsolved} solutions ended above contact_tolerance"] if unsolved else []
@@ -209,7 +210,7 @@ class Drift:
         return [*more, *self.remarks_of_operators()]
 
     def remarks_of_operators(self) -> list[str]:
-        """Those of the present operator, and of operators that are no longer there. Collective."""
+        """Return the remarks of the present operator, and of operators that it has replaced. Collective."""
         return list(dict.fromkeys([*self.past_remarks, *(self.operator.remarks() if self.operator else [])]))
 
     def work(self) -> dict[str, int]:

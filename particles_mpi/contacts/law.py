@@ -20,14 +20,14 @@ from particles_mpi.kernels.motion import move_to
 
 
 class Loss(NamedTuple):
-    """What a contact leaves: `restitution` e of the normal velocity, and then `velocity_factor` of the whole velocity."""
+    """The losses of a contact: `restitution` e acts on the normal velocity, then `velocity_factor` on the whole velocity."""
 
     restitution: float
     velocity_factor: float
 
 
 def loss(restitution: float | None, damping: float | None) -> Loss:
-    """The two kinds of loss in a scene: restitution e, or the course's damping alpha, whose factor is sqrt(1-alpha)."""
+    """Return the loss of a contact by restitution e, or by the course's damping alpha, whose factor is sqrt(1-alpha)."""
     if damping is not None:
         return Loss(1.0, sqrt(1.0 - damping))
     return Loss(1.0 if restitution is None else restitution, 1.0)
@@ -35,9 +35,9 @@ def loss(restitution: float | None, damping: float | None) -> Loss:
 
 @inner(inline="always")
 def may_come_near(a, b, r2, diameter, h):
-    """False for most pairs: those that move apart, or are clear of each other until h (by margins far above round-off).
+    """Return False for most pairs: those that move apart, or do not touch before h (by margins far above round-off).
 
-    With r, v relative position and velocity: a = v.v, b = r.v, r2 = r.r. Nothing branches: most tests are coin tosses.
+    With r, v relative position and velocity: a = v.v, b = r.v, r2 = r.r. There is no branch, because most tests are coin tosses.
     """
     clear = r2 - (diameter * diameter + 1e-9 * r2)
     before = (-b > a * h) & (clear + h * (2.0 * b + a * h) <= 0.0)

@@ -30,7 +30,7 @@ PAIRS = 0  # row of `law`; that of wall w is 1 + w
 
 
 class Rough(NamedTuple):
-    """What contacts of rough spheres need to know of n particles; in a smooth scene no array has a row but `law` and scratch."""
+    """What contacts of rough spheres need to know of n particles. In a smooth scene `spin` and `inverse_inertia` have no rows."""
 
     spin: Array  # (n, d(d-1)/2) angular velocities
     inverse_inertia: Array  # (n,) inverse moments of inertia, 0 for what does not turn
@@ -40,12 +40,12 @@ class Rough(NamedTuple):
 
 
 def takes_energy(surface: tuple[float, float]) -> bool:
-    """Does a contact of such surfaces take energy? Not if it sticks for any impulse and gives all of the slip back."""
+    """Does a contact of surfaces with (mu, beta_0) take energy? Not if it sticks for any impulse and reverses the whole slip."""
     return surface[0] > 0.0 and surface != (inf, 1.0)
 
 
 def no_spins(dimension: int, law: Array) -> Rough:
-    """Of a smooth scene."""
+    """Return the `Rough` of a smooth scene."""
     return Rough(np.empty((0, 1)), np.empty(0), law, np.empty(dimension), np.empty(dimension))
 
 
@@ -57,10 +57,10 @@ def plane_of(axes, p, q):
 
 @lean_inner
 def strike_pair(axes, v, column, rough, r, i, j, spheres, t, restitution, rates):
-    """The law of a contact of the rows i and j, r = x_i - x_j (d,) apart, at time t; in place.
+    """Apply the law of a contact of rows i and j, r = x_i - x_j (d,) apart, at time t; in place.
 
-    Returns (1+e) r.u before the impulse, as `law.apply_impulse`; v and column as there. `spheres`: inverse masses and radii of i
-    and j.
+    Returns (1+e) r.u before the impulse, as `law.apply_impulse` does, with v and column as there. `spheres`: inverse masses and
+    radii of i and j.
     """
     w_i, w_j, radius_i, radius_j = spheres
     r2 = 0.0
@@ -78,7 +78,7 @@ def strike_pair(axes, v, column, rough, r, i, j, spheres, t, restitution, rates)
 
 @lean_inner
 def strike_wall(axes, v, column, rough, i, wall, normal, w, radius, t, restitution, rates):
-    """The law of a contact of row i with a wall, at time t; in place. As `walls.bounce`."""
+    """Apply the law of a contact of row i with a wall at time t; in place. See `walls.bounce`."""
     for k in range(len(axes)):
         rough.normal[k] = normal[wall, k]
     bodies = w, 0.0, radius, 0.0
@@ -87,10 +87,10 @@ def strike_wall(axes, v, column, rough, i, wall, normal, w, radius, t, restituti
 
 @lean_inner
 def strike(axes, v, column, rough, which, i, j, bodies, t, restitution, rates):
-    """The contact with the unit vector `rough.normal`, j < 0 being a wall; `bodies`: w and arms of i and j.
+    """Apply the law of a contact along the unit vector `rough.normal`; j < 0 is a wall; `bodies`: w and arms of i and j.
 
-    It takes place between the velocities of its own moment (see `velocity_flow`); between those of the segments, where partners
-    are so slow that they would have moved apart at that moment, or would approach after it. Returns (1+e) u.k before the
+    It takes place between the velocities of its own moment (see `velocity_flow`). Partners so slow that they would have moved
+    apart at that moment, or would approach after it, collide with the velocities of their segments. Returns (1+e) u.k before the
     impulse, which is minus the change of u.k by it; 0 if they do not approach.
     """
     if len(rates.a) > 0:
@@ -162,7 +162,7 @@ def speed2(axes, v, column, i):
 
 @lean_inner
 def to_impulse(axes, rough, which, i, j, bodies, approach, restitution):
-    """rough.impulse (d,), which is v_i - v_j, becomes the impulse J on i; `approach`: u.k."""
+    """Turn rough.impulse (d,), which is v_i - v_j, into the impulse J on i; `approach`: u.k."""
     w_i, w_j, arm_i, arm_j = bodies
     spin, inverse_inertia, normal, u = rough.spin, rough.inverse_inertia, rough.normal, rough.impulse
     mobility = w_i + w_j + (arm_i * arm_i * inverse_inertia[i] + (arm_j * arm_j * inverse_inertia[j] if j >= 0 else 0.0))
@@ -187,7 +187,7 @@ def to_impulse(axes, rough, which, i, j, bodies, approach, restitution):
 
 @lean_inner
 def turn_both(axes, rough, i, j, bodies):
-    """The spins of i and j after the impulse `rough.impulse`."""
+    """Change the spins of i and j by the impulse `rough.impulse`."""
     _, _, arm_i, arm_j = bodies
     spin, inverse_inertia, normal, impulse = rough.spin, rough.inverse_inertia, rough.normal, rough.impulse
     for p in range(len(axes)):

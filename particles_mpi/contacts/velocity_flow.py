@@ -34,7 +34,7 @@ class Rates(NamedTuple):
     t_mid: float  # the middle of the step, as a time from the start of the drift
 
     def of(self, arrays: dict[str, Array]) -> Rates:
-        """The same with what differs from particle to particle, as these fields say."""
+        """Return the same rates with the values that differ from particle to particle, from these fields."""
         a = arrays.get("total_acceleration", self.a) if len(self.a) else self.a
         return self._replace(a=a, k=arrays["drag"] if len(self.k) else self.k)
 

@@ -54,7 +54,7 @@ def wall_contact(axes, x, v, column, start, i, radius, last_partner, h, planes):
 
 @lean_inner
 def bounce(axes, v, column, i, wall, normal, restitution, velocity_factor, inverse_mass, t, rates):
-    """The law of a contact with a wall at time t: v -= (1+e)(v.n) n, then v times `velocity_factor`.
+    """Apply the law of a contact with a wall at time t: v -= (1+e)(v.n) n, then v times `velocity_factor`.
 
     `law.apply_impulse` is the law of a pair.
     """
@@ -142,12 +142,12 @@ def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, pl
 
 @lean
 def drift_with_walls(axes, x, v, radius, inverse_mass, last, h, planes, rates, rough, reach, near):
-    """x += v h, reflected by walls on the way. In place on x, v (n, d).
+    """Do x += v h with reflections by walls. In place on x, v (n, d).
 
-    Returns how many hits there were, how many rows got nowhere, how many are in `near`, and how many in `last`.
-    `inverse_mass` (n,), or no row where nothing depends on it. last: (start (n,), rows, walls, times): to start, when last
-    segments begin; to the others, if they have room, each row with hits, its last wall as -1 - wall, and when it hit that. To
-    `near` (n,), if it has room, the rows that may be within `reach` of a wall at the end.
+    Returns (number of hits, number of rows that got nowhere, number of rows in `near`, number of rows in `last`). `inverse_mass`
+    (n,), or no row where nothing depends on it. last: (start (n,), rows, walls, times): start is when the last segment of each
+    row begins; the others, if they have room, list the rows with hits, the last wall of each as -1 - wall, and the time of that
+    hit. `near` (n,), if it has room, lists the rows that may be within `reach` of a wall at the end.
     """
     start, last_row, last_wall, last_time = last
     hits, missed, found, noted = 0, 0, 0, 0
@@ -174,7 +174,7 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, last, h, planes, rates, r
 
 @lean
 def finish_bounces(v, before, after, row, wall, time, number, h, normal, restitution):
-    """The first `number` of rows, whose last contact in a drift over h was with a wall: what `closing_kick` gives them.
+    """Apply `closing_kick` to the first `number` of rows, whose last contact in a drift over h was with a wall.
 
     before, after (n, d): accelerations at the start of the drift, and at its end; wall: as -1 - wall. In place on v (n, d).
     """

@@ -1,4 +1,4 @@
-"""The impulses of lasting contacts in the last solution: plain columns, for those who save them without loading the solver."""
+"""The impulses of lasting contacts in the last solution, as columns that can be saved without loading the solver."""
 
 from typing import NamedTuple
 

@@ -179,7 +179,7 @@ class TreeSum:
         return result.acceleration[:, : particles.dimension]
 
     def potential(self, p: Particles) -> Array:
-        """Return the potential (n,), movable sources counting half: half that of the last `pull`, if none is fixed or moved.
+        """Return the potential (n,), movable sources counting half; the last `pull` gives it if none is fixed or moved.
         Collective.
         """
         known = self.known == places_of(p) and not p.fixed.any()

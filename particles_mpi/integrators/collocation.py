@@ -108,8 +108,7 @@ def add(total, lost, change, m):
 
 @in_place
 def seventh_root(number):
-    """The root of a number of [SHRINK^7, GROW^7], by Newton's method from above: the same bits on every machine, unlike a power.
-    """
+    """The seventh root of a number of [SHRINK^7, GROW^7], by Newton's method: unlike a power, the same bits everywhere."""
     root = GROW
     for _ in range(ROOT_ROUNDS):
         power = root * root * root

@@ -50,8 +50,7 @@ class LengthSearch:
         return False
 
     def guess(self) -> float:
-        """Return the length by the secant through the last two tries, if it is between lengths that are too short and too long.
-        """
+        """Return the length by the secant through the last two tries, or halfway between lengths too short and too long."""
         (h, late), count = self.tries[-1], len(self.tries)
         guess = h + 0.5 * late
         if count > 1 and late != self.tries[-2][1]:

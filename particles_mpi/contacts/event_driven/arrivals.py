@@ -1,4 +1,4 @@
-"""What a rank does with the messages of a window of time: compiled parts of `windows`. See `messages` for what they hold."""
+"""Compiled parts of `windows`: how a rank handles the messages after a window of time. `messages` describes what they hold."""
 
 import numpy as np
 
@@ -55,7 +55,7 @@ from particles_mpi.neighbours.verlet_kernels import (
 
 @lean
 def roll_back(rows, log, stale):
-    """All rows as before the window; returns how many (written to `stale`) must find their next events again."""
+    """Set all rows back to the start of the window. Returns how many, written to `stale`, must find their next events again."""
     rows, log = Rows(*rows), Log(*log)
     d, record = dimension(rows), record_width(dimension(rows), spin_width(rows))
     for p in range(log.changed_count[0]):
@@ -66,11 +66,11 @@ def roll_back(rows, log, stale):
 
 @kernel
 def verify(rows, lists, directory, log, regions, begin, message):
-    """(must the window that began at `begin` be rolled back, which ghosts differ from their owners' rows).
+    """Return (must the window that began at `begin` be undone, which ghosts differ from their owners' rows).
 
-    It must if such a ghost could have touched an own row. `message`: all that arrived; a ghost of which no UPDATE tells did not
-    change at its owner. Of the ghosts that differ (m, 2): the row, and the place of its right record in the message; or, if that
-    is in `log.saved`, len(numbers) plus its place there.
+    It must if a ghost that differs could have touched an own row. `message`: all that arrived; a ghost without an UPDATE in it
+    did not change at its owner. For each ghost that differs, (m, 2): its row, and the place of its right record in the message;
+    or, if that is in `log.saved`, len(numbers) plus its place there.
     """
     rows, lists, directory, log, regions = Rows(*rows), Lists(*lists), Directory(*directory), Log(*log), Regions(*regions)
     numbers, bits = message
@@ -139,9 +139,9 @@ def reconcile(rows, directory, log, message, differing, moves, regions, stale):
 
 @inner
 def list_at(axes, rows, lists, directory, message, at, record, skin):
-    """The row of an ADD_GHOST, which is new here, or of a TRANSFER, listed anew at its reference position.
+    """Give the row of an ADD_GHOST, which is new here, or of a TRANSFER, a new list at its reference position.
 
-    Returns (row, 0), or as `apply_moves` what it is short of, and then nothing has changed.
+    Returns (row, 0), or, as `apply_moves`, by how much there is too little room; then nothing has changed.
     """
     numbers, bits = message
     d, reference, segment = len(axes), lists.reference, rows.segment
@@ -182,7 +182,7 @@ def list_at(axes, rows, lists, directory, message, at, record, skin):
 
 @inner
 def take_over(rows, lists, directory, regions, message, at, i):
-    """Row i is an own one from now on, as the TRANSFER at this place says; who holds it is found as the sender did."""
+    """Make row i an own one, as the TRANSFER at this place says; which ranks hold it is found by the sender's rule."""
     _, bits = message
     holders, known, at_row = directory.holders, Regions(*regions).known, np.full(1, i, np.int32)
     holder, place, before = bits[at + HEAD], bits[at + HEAD + 1], bits[at + HEAD + 2]
@@ -197,7 +197,7 @@ def take_over(rows, lists, directory, regions, message, at, i):
 
 @lean_inner
 def drop_ghost(axes, rows, lists, queue, directory, particle):
-    """The row of a particle that has gone away from this rank's region is free."""
+    """Free the row of a particle that has left the neighbourhood of this rank's region."""
     i = row_of(directory.table, particle)
     cancel(queue, i)
     remove(axes, lists, i)
@@ -210,10 +210,10 @@ def drop_ghost(axes, rows, lists, queue, directory, particle):
 
 @kernel
 def apply_moves(axes, rows, lists, queue, directory, regions, message, at, skin, stale, pending):
-    """ADD_GHOST, TRANSFER and DROP_GHOST of a message, from place `at` on.
+    """Apply the parts ADD_GHOST, TRANSFER and DROP_GHOST of a message, from place `at` on.
 
-    stale[:pending[0]]: rows that must find their next events. Returns (place, shortage): the end and 0, or the place of the part
-    for which the pool of the lists is short of so many places, or for which there is no free row (-1); then enlarge and call
+    stale[:pending[0]]: rows that must find their next events. Returns (place, shortage): the end and 0; or the place of a part
+    for which the pool of the lists is too small by so many places, or for which there is no free row (-1): then enlarge and call
     again from there.
     """
     rows, lists, queue, directory = Rows(*rows), Lists(*lists), Queue(*queue), Directory(*directory)

@@ -1,12 +1,12 @@
-"""The next event of every row, in buckets of time: a calendar queue, which finds the first of all without comparing them all.
+"""The next event of every row, in buckets of time: a calendar queue, which finds the first event without comparing all of them.
 
-Rows whose events are in the same bucket are linked; the present bucket is searched for the first event under the total order:
-time, pair before wall, fewest repetitions, lower id, higher id or wall. If it has many (spheres that fall side by side leave
-their skins at the same time) it is sorted first, and stays so.
+Rows whose events are in the same bucket are linked. The present bucket is searched for the first event under the total order:
+time, pair before wall, fewest repetitions, lower id, higher id or wall. If it has many events (spheres that fall side by side
+reach their skins at the same time) it is sorted first, and stays sorted.
 
-*Repetitions* are the contacts that the partners have had already without getting anywhere, beyond ORDERED of them. By ids alone
-the first three of a row of spheres that touch, with e = 0, would meet one another without end, and the others would never hear
-of the blow; so it goes through all of them again and again, until they have one velocity.
+*Repetitions* are the contacts in which a partner has got nowhere so far, beyond ORDERED of them. In the order of ids alone, the
+first three of a row of spheres that touch, with e = 0, would meet one another without end, and the blow would never reach the
+others. With this order it passes through all spheres again and again, until they have one velocity.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ class Queue(NamedTuple):
 
 @lean_inner
 def repetitions(i, partner, state):
-    """The contacts in which row i or its partner, the one that has had more of them, got nowhere, beyond ORDERED ones."""
+    """Return how many contacts beyond ORDERED got nowhere, for that of row i and its partner which had more of them."""
     most = state[i, RAPID_EVENTS]
     if partner >= 0:
         most = max(most, state[partner, RAPID_EVENTS])
@@ -69,7 +69,7 @@ def earlier(queue, i, j, state):
 
 @in_place
 def push(queue, state, i, t, partner, count):
-    """Give row i, which has no event, one at time t with the partner of this event count; never before the present bucket."""
+    """Queue an event at time t of row i, which has none, with this partner and event count; not before the present bucket."""
     node, first, present = queue.node, queue.first, queue.present
     bucket = max(min(np.int64(max(t, 0.0) * queue.per_time), len(first) - 1), present[0])
     queue.times[i, TIME] = t
@@ -89,7 +89,7 @@ def push(queue, state, i, t, partner, count):
 
 @in_place
 def cancel(queue, i):
-    """Row i loses its event, if it has one."""
+    """Remove the event of row i from the queue, if it has one."""
     node = queue.node
     if node[i, PARTNER] == NO_EVENT:
         return
@@ -135,7 +135,7 @@ def sort_present(queue, state):
 
 @in_place
 def find_first(queue, state):
-    """The row with the first event in the present bucket, or EMPTY: then `advance`; or UNSORTED: then `sort_present`."""
+    """Return the row with the first event in the present bucket; EMPTY: call `advance`; UNSORTED: call `sort_present`."""
     node, present = queue.node, queue.present
     best = np.int64(queue.first[present[0]])
     if best < 0 or present[1]:
@@ -150,7 +150,7 @@ def find_first(queue, state):
 
 @lean_inner
 def advance(queue):
-    """The next bucket becomes the present one; False if there is none."""
+    """Make the next bucket the present one. Returns False if there is none."""
     present = queue.present
     if present[0] + 1 == len(queue.first):
         return False

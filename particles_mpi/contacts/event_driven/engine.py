@@ -1,4 +1,4 @@
-"""The rows, neighbour lists and event queue of a rank, and one drift of them: what the kernels of `event_loop` work on."""
+"""The rows, neighbour lists and event queue of a rank, and one drift of them, for which it calls the kernels of `event_loop`."""
 
 import numpy as np
 
@@ -54,14 +54,14 @@ NAMED = 64  # contacts without loss whose time and partners are kept
 
 
 def times_of_contact(p: Particles) -> Array:
-    """When each particle last had a contact (n,); never, where a scene keeps no record of it: nothing depends on it there."""
+    """Return when each particle last had a contact (n,); -inf where a scene keeps no record, because nothing depends on it."""
     return p["contacted"] if "contacted" in p.arrays else np.full(len(p), -np.inf)
 
 
 class Engine:
-    """Computes contacts in order of time among the rows that `load` gave it: own ones, and ghosts that others own.
+    """Computes contacts in order of time among the rows that `load` gave it: its own ones, and ghosts, which other ranks own.
 
-    A drift is `start_drift`, `begin`, `run` once or more, `end_drift` and `write_back`. What it found is in `work`.
+    A drift is `start_drift`, `begin`, `run` once or more, `end_drift` and `write_back`. Its counts are in `work`.
     """
 
     rows: Rows
@@ -84,11 +84,11 @@ class Engine:
         self.set_step(NEVER_CROWDED, no_rates(d), Collapse(0.0, 0, 0, False, NEVER_CROWDED))
 
     def set_step(self, crowd_from: int, rates: Rates, collapse: Collapse) -> None:
-        """For this step: quick contacts that make a crowd, how velocities change, and which contacts take no energy."""
+        """Set for a step: how many quick contacts make a crowd, `Rates`, and which contacts take no energy."""
         self.crowd_from, self.rates, self.collapse = crowd_from, rates, collapse
 
     def load(self, p: Particles, owned: int, spare: int = 0) -> None:
-        """Rows of p, the first `owned` of them own ones, and `spare` free ones; `lists` were built for them."""
+        """Take the rows of p, the first `owned` of which are own ones, and `spare` free rows, as `lists` were built for."""
         n, d = p.position.shape
         total = n + spare
         segment, state = aligned(total, 2 * d + 2), aligned(total, 8).view(np.int64)
@@ -112,7 +112,7 @@ class Engine:
         self.expiries = 0
 
     def grow(self) -> Array:
-        """Twice as many rows; returns the new ones, which are free."""
+        """Double the number of rows; returns the new rows, which are free."""
         n = len(self.rows.state)
         rows = doubled(self.rows, "segment", "state", "acceleration", "drag", "spin", "inverse_inertia")
         self.rows = rows._replace(segment_bits=rows.segment.view(np.int64), reals=rows.state.view(np.float64))
@@ -125,7 +125,7 @@ class Engine:
         return np.arange(n, 2 * n, dtype=np.int32)
 
     def start_drift(self, p: Particles, own_rows: Array) -> tuple[bool, float]:
-        """Own rows on their way, particle r in row own_rows[r]: (did anyone move them since `end_drift`, largest speed)."""
+        """Start own rows, particle r in row own_rows[r]; returns (were any moved since `end_drift`, largest speed)."""
         virial = p.arrays.get("virial", np.empty(0))
         a = p.arrays.get("total_acceleration", np.empty((0, 0)))
         moved, speed = start_drift(
@@ -135,7 +135,7 @@ class Engine:
         return bool(moved), float(speed)
 
     def begin(self, h: float) -> None:
-        """An empty queue for a drift over h; all rows are to find their next events."""
+        """Empty the queue for a drift over h, and mark all rows to find their next events."""
         here = np.flatnonzero(self.rows.state[:, OWNERSHIP] != NOT_HERE)
         self.pending = len(here)
         self.work.stale[: self.pending] = here
@@ -148,7 +148,7 @@ class Engine:
         self.queue = Queue(self.node, self.node.view(np.float64), first, buckets / h, np.zeros(2, np.int64))
 
     def run(self, now: float, until: float, moment: float) -> None:
-        """All events from `now` to `until`, times since the start of the drift at `moment`."""
+        """Carry out all events from `now` to `until`, which are times since the start of the drift; that is at time `moment`."""
         queue, work = self.queue, self.work
         queue.present[:] = min(int(now * queue.per_time), len(queue.first) - 1), 0  # nothing is left from before
         a, drag = self.rows.acceleration, self.rows.drag
@@ -170,7 +170,7 @@ class Engine:
             pending = 0
 
     def standstill(self, time: float) -> str:
-        """Who meets whom for ever."""
+        """Return the message about events that follow one another without end."""
         (row, partner), state = self.work.stale[:2], self.rows.state
         with_ = f"particle {state[partner, ID]}" if partner >= 0 else f"wall {-1 - partner}"
         with_ = "nobody, but leaves its neighbourhood" if partner == LIST_EXPIRY else with_
@@ -180,7 +180,7 @@ class Engine:
         )
 
     def end_drift(self) -> int:
-        """All rows to the end of the drift. Returns how many own ones were squeezed."""
+        """Move all rows to the end of the drift. Returns how many own rows were squeezed."""
         lists = self.lists.arrays
         h, stops = float(self.work.stopped[0]), self.collapse.stops
         squeezed = end_drift(self.axes, tuple(self.rows), h, lists.reference, lists.box, stops)
@@ -191,7 +191,7 @@ class Engine:
         return int(squeezed)
 
     def last_contacts(self, own_rows: Array, moment: float) -> LastContacts:
-        """Those of own rows in the drift that began at `moment` and has ended; particle r in row own_rows[r]."""
+        """Return the last contacts of own rows in the drift that began at `moment`; particle r is in row own_rows[r]."""
         (segment, _, state, reals), d = self.rows[:4], len(self.axes)
         reference = self.lists.arrays.reference
         fixed = (reference[:, d + INVERSE_MASS] == 0.0) & (state[:, OWNERSHIP] != NOT_HERE)
@@ -201,7 +201,7 @@ class Engine:
         return LastContacts(moved, state[rows, LAST_PARTNER], reals[rows, LAST_CONTACT] - moment, known)
 
     def write_back(self, p: Particles, own_rows: Array) -> None:
-        """Particle r of p as row own_rows[r] is."""
+        """Copy row own_rows[r] to particle r of p, for all r."""
         virial, supported = p.arrays.get("virial", np.empty(0)), p.arrays.get("supported", np.empty(0, np.uint8))
         fields = p.position, p.velocity, times_of_contact(p), virial, supported, p.arrays.get("spin", NO_SPIN)
         write_back(self.axes, tuple(self.rows), *fields, self.crowd_from, own_rows)

@@ -95,7 +95,7 @@ class Clock(NamedTuple):
 
 @lean_inner
 def note_tc_elastic(work, t, one, other):
-    """One more contact that took no energy; the first ones by name."""
+    """Count a contact that took no energy; of the first ones, note time and partners."""
     counts, named = work.counts, work.tc_elastic
     if counts[TC_ELASTIC] < len(named):
         named[counts[TC_ELASTIC], 0], named[counts[TC_ELASTIC], 1], named[counts[TC_ELASTIC], 2] = t, one, other
@@ -129,7 +129,7 @@ def renew_list(axes, rows, lists, work, log, i, now, ahead):
 
 @in_place
 def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t, clock):
-    """Row i hits a wall at time t."""
+    """Carry out the contact of row i with a wall at time t."""
     segment, state, planes, d = rows.segment, rows.state, rules.planes, len(axes)
     lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
     elastic = lossy and takes_nothing(d, rows, i, t, clock, rules.collapse)
@@ -152,7 +152,7 @@ def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t, clock):
 
 @in_place
 def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock):
-    """Rows i and j meet at time t, i being the one with the lower id. Returns whether they collide: at a jam they stop."""
+    """Rows i and j meet at time t; row i has the lower id. Returns whether they collide, and do not stop at a jam."""
     state = rows.state
     collides = max(state[i, RAPID_EVENTS], state[j, RAPID_EVENTS]) < JAMMED
     if collides:
@@ -184,7 +184,7 @@ def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock):
 
 @in_place
 def time_stands_still(work, t, h, rows):
-    """Count an event at time t of a drift over h: have so many followed one another, while no time passed, that it has no end?"""
+    """Count an event at time t of a drift over h. Have so many followed in no time that they will not end?"""
     progress = work.progress
     progress[EVENTS_SINCE] += 1.0
     if t > progress[LAST_PROGRESS] + STANDING * h:
@@ -194,16 +194,16 @@ def time_stands_still(work, t, h, rows):
 
 @lean
 def run(axes, rows, lists, queue, rules, interval, work, log, pending):
-    """All events of an interval, in order. work.stale[:pending] are rows whose next event is not known.
+    """Carry out all events of an interval, in order. work.stale[:pending] are rows whose next event is not known.
 
-    rules: see `Rules`. interval: the `Clock`, from when until when in it, and how many skins ahead of a particle its new
-    reference position lies.
-    Returns 0; or how many places the pool of the lists is short of: then call again with a larger one; or INTERRUPTED after so
-    many events that a user may have pressed Ctrl-C: then call again; or FULL_BUCKET: sort it, and call again; or STANDSTILL,
-    where events follow one another for ever but time does not pass. With stop[ASKED] the loop ends after the first collision.
+    rules: see `Rules`. interval: the `Clock`, the beginning and the end of the interval, and how many skins ahead of a particle
+    its new reference position lies. Returns 0, or a reason for which it must be called again: a number of places that the pool of
+    the lists lacks (enlarge it first); INTERRUPTED, after so many events that a user may have pressed Ctrl-C; FULL_BUCKET (sort
+    it first). STANDSTILL: events follow one another for ever but time does not pass. With stop[ASKED] the loop ends after the
+    first collision.
 
-    What this calls becomes a part of it: a call with so many arrays costs as much as the look it would be for. The bundles come
-    as plain tuples, as in all kernels of this folder that Python calls: see `jit.plain`.
+    The functions that it calls are inlined: a call with so many arrays takes as long as the work in it. The bundles come as plain
+    tuples, as in all kernels of this folder that Python calls: see `jit.plain`.
     """
     rows, lists, queue, work, log = Rows(*rows), Lists(*lists), Queue(*queue), Work(*work), Log(*log)
     loss, law, collapse, crowd_from, planes, rates = rules

@@ -1,7 +1,7 @@
 """The rows of this rank by the ids of their particles: a hash table whose size depends on the rows here, not on all ids.
 
-An id has a place of its own, and stands in it or in one of the next ones (linear probing: D. Knuth, The Art of Computer
-Programming 3, 6.4). At least half of the places are free, so that every search ends.
+Each id has a home place in the table, and stands there or in one of the following places (linear probing: D. Knuth, The Art of
+Computer Programming 3, 6.4). At least half of the places are free, so that every search ends.
 """
 
 import numpy as np

@@ -1,10 +1,10 @@
-"""What happens to a row at each of its contacts, besides its velocity; and rows that have no room to move.
+"""What a contact changes in the state of a row besides its velocity; and rows that have no room to move.
 
-`RAPID_EVENTS` of a row counts contacts in which it got nowhere, those that follow one another, and quick ones (`rows`). A row
-with many quick ones is one of a crowd, and waits for the drift to be done again. After a thousand contacts in which it got
-nowhere, or thousands of quick ones where that has not helped, a row is squeezed: it is jammed from then on. It stands until the
-end of the drift, in the way of others, which are jammed too when they come to it. Its velocity is kept times HARDLY, a power of
-two, so that it moves nothing, and is exact again when `rows.end_drift` gives it back, if it does: see `Collapse`.
+`RAPID_EVENTS` of a row counts three kinds of contacts: those in which it got nowhere, those that follow one another within t_c,
+and quick ones (`rows`). A row with many quick contacts belongs to a crowd, and waits until the drift is done again. A row is
+squeezed after a thousand contacts in which it got nowhere, or thousands of quick ones if crowds did not help. It is then jammed:
+it stands until the end of the drift, and others that reach it are jammed too. Its velocity is multiplied by HARDLY, a power of
+two, so that it moves nothing; `rows.end_drift` restores it exactly, or sets it to 0: see `Collapse`.
 """
 
 from typing import NamedTuple
@@ -34,14 +34,14 @@ ROUND_OFF_WAY = 1e-14  # of a coordinate and a radius: a way that is round-off
 class Collapse(NamedTuple):
     """Which contacts take no energy, so that inelastic collapse, ever more contacts in ever less time, does not stop the clock.
 
-    Those within `duration` t_c of the last contact of either partner: the TC model (Luding and McNamara, Granular Matter 1, 113,
-    1998). With `before` above 0 only after so many contacts of that partner, in this drift, that followed one another so soon,
-    and if time has passed, or after `at_once` contacts at one moment: what touches several others, as in a corner or in Newton's
-    cradle, loses energy at all of them.
+    These are contacts within `duration` t_c of the last contact of either partner: the TC model (Luding and McNamara, Granular
+    Matter 1, 113, 1998). If `before` is above 0, that partner must in this drift also have had so many contacts that followed one
+    another within t_c, and time must have passed since the last one; or it must have had `at_once` contacts at one moment. So a
+    particle that touches several others, as in a corner or in Newton's cradle, loses energy at all of them.
 
-    `stops`: does what has no room come to rest? Where forces press it onto a wall it would else win, from step to step, the
+    `stops`: does a row without room come to rest? Where forces press it onto a wall, it would otherwise gain in each step the
     speed of a fall that does not take place. `most`: after so many quick contacts in a drift a row has no room, though it moves
-    by more than round-off from one to the next: spheres that fill a box from side to side would have millions.
+    by more than round-off between them: spheres that fill a box from side to side would have millions.
     """
 
     duration: float
@@ -53,16 +53,16 @@ class Collapse(NamedTuple):
 
 @lean_inner
 def passes_by(jammed, rapid):
-    """Does a row, `jammed` or not, take no notice of one with this number of RAPID_EVENTS?"""
+    """Does a row, `jammed` or not, ignore another one that has this number of RAPID_EVENTS?"""
     return rapid >= SQUEEZED and (jammed or rapid < JAMMED)
 
 
 @in_place
 def progress(d, segment, i, t, h, elastic):
-    """Did row i get anywhere on its segment, which ends at time t? 1 if time has passed, or it moved by more than round-off;
-    -1 if it moved by round-off only, or the contact is `elastic` by the TC model; 0 if it was at rest.
+    """Did row i get anywhere on its segment, which ends at time t? 1 if time has passed, or it moved by more than round-off; -1
+    if it moved by round-off only, or the contact is `elastic` by the TC model; 0 if it was at rest.
 
-    A particle that is shut in without room meets its partners for ever, on ways that are less than round-off of its position.
+    A particle that has no room meets its partners for ever, on paths that are shorter than the round-off of its position.
     """
     passed = t - segment[i, 2 * d + START]
     if passed > (RATTLING if elastic else STANDING) * h:
@@ -92,10 +92,10 @@ def takes_nothing(d, rows, i, t, clock, collapse):
 
 @in_place
 def note_contact(axes, rows, i, t, partner, clock, elastic, collapse, crowd_from, any_squeezed):
-    """Row i is about to begin a new segment at time t of a drift: change its state.
+    """Change the state of row i, which begins a new segment at a contact at time t of a drift.
 
-    With `crowd_from` quick contacts it is one of a crowd, whose rows wait as squeezed ones do. `elastic`: the contact
-    `takes_nothing`, because it follows others so soon.
+    With `crowd_from` quick contacts it belongs to a crowd, whose rows wait as squeezed ones do. `elastic`: the contact
+    `takes_nothing`, because it follows others too soon.
     """
     state, reals = rows.state, rows.reals
     if t - rows.segment[i, 2 * len(axes) + START] > STANDING * clock.length:  # contacts at the same moment are as one
@@ -118,7 +118,7 @@ def note_contact(axes, rows, i, t, partner, clock, elastic, collapse, crowd_from
 
 @in_place
 def stop_squeezed(axes, rows, i, crowd_from):
-    """Jam row i if it is SQUEEZED by contacts in which it got nowhere, and not because it is one of a crowd."""
+    """Jam row i if it is SQUEEZED by contacts in which it got nowhere, but not if it belongs to a crowd."""
     rapid = rows.state[i, RAPID_EVENTS]
     if SQUEEZED <= rapid < JAMMED and rapid % FOLLOWING < crowd_from:
         jam(axes, rows, i)
@@ -126,7 +126,7 @@ def stop_squeezed(axes, rows, i, crowd_from):
 
 @lean_inner
 def stop_at_jam(axes, rows, i, t):
-    """Row i, one of two that touch at time t, stops there if it is the one that is not jammed yet."""
+    """Jam row i, which touches another row at time t, if it is the one of the two that is not jammed yet."""
     if rows.state[i, RAPID_EVENTS] < JAMMED:
         move_to(axes, rows.segment, i, t)
         rows.state[i, EVENT_COUNT] += 1

@@ -1,13 +1,13 @@
-"""What ranks send one another after a window of time: compiled parts of `windows`. `arrivals` is what they do with it.
+"""Compiled parts of `windows`: the messages that ranks send one another after a window of time. `arrivals` handles them.
 
-A message is a series of numbers, each part beginning with its kind and a particle's id:
+A message is a series of numbers, in parts that begin with their kind and a particle's id:
 
-- UPDATE: the record (see `rows`) of a row that was changed, to all ranks that hold it as a ghost.
-- ADD_GHOST: the record, R, 1/m, reference position, the acceleration where it differs from row to row, the drag if there is
-  any, and 1/I where spheres are rough, of a row that comes near the receiver's region.
+- UPDATE: the record (see `rows`) of a row that was changed, for all ranks that hold it as a ghost.
+- ADD_GHOST: the record, R, 1/m, reference position, the acceleration where it differs from row to row, the drag if there is any,
+  and 1/I where spheres are rough, of a row that comes near the receiver's region.
 - TRANSFER: rank and place of the particle's fields, the rank that had it, and the reference position, of a row that the receiver
-  owns from now on. Who holds it the receiver finds as the sender did.
-- DROP_GHOST: a row that has gone away from the receiver's region.
+  owns from now on. The receiver finds out which ranks hold it, by the sender's rule.
+- DROP_GHOST: a row that has left the neighbourhood of the receiver's region.
 """
 
 from typing import NamedTuple
@@ -135,7 +135,7 @@ def ownership(holders, i, here):
 
 @lean
 def pack_changes(rows, reference, directory, log, moves, regions, bit, message):
-    """All that the known rank of a bit must know of the window of own rows; returns the length. `message` has room for it."""
+    """Write to `message`, which has room, the changes of own rows that the known rank of a bit must know; returns the length."""
     rows, directory, log, moves = Rows(*rows), Directory(*directory), Log(*log), Moves(*moves)
     rank, me = Regions(*regions).known[bit], Regions(*regions).rank
     out, bits = message

@@ -1,6 +1,6 @@
 """The next event of a row: its first contact with a row in its list or with a wall, or the time at which its list expires.
 
-And what to fetch from memory ahead of it: most of the time of an event is that of waiting for rows that are not in the cache.
+It also prefetches memory: most of the time of an event is spent waiting for rows that are not in the cache.
 """
 
 from math import sqrt
@@ -35,7 +35,7 @@ def likely_partners(axes, segment, lists, i, first, count, place, now, until):
 
 @in_place
 def have_just_met(d, segment, state, i, j):
-    """Did rows i and j begin their segments together, at a contact with one another? Jammed rows keep no such account."""
+    """Did rows i and j begin their segments at a contact with one another? False for jammed rows."""
     together = segment[i, 2 * d + START] == segment[j, 2 * d + START]
     with_each_other = state[i, LAST_PARTNER] == state[j, ID] and state[j, LAST_PARTNER] == state[i, ID]
     return together and with_each_other and max(state[i, RAPID_EVENTS], state[j, RAPID_EVENTS]) < JAMMED
@@ -124,7 +124,7 @@ def next_event(axes, rows, lists, planes, work, i, now, h):
 
 @in_place
 def prefetch_row(rows, lists, queue, i):
-    """What an event of row i needs of it comes to the cache, if i is a row."""
+    """Prefetch what an event of row i needs of it, if i is a row."""
     if i >= 0:
         prefetch(queue.node, i)
         prefetch(lists.spans, i)
@@ -135,7 +135,7 @@ def prefetch_row(rows, lists, queue, i):
 
 @in_place
 def prefetch_neighbours(rows, lists, i):
-    """The segments of the rows in the list of row i come to the cache, if i is a row."""
+    """Prefetch the segments of the rows in the list of row i, if i is a row."""
     if i >= 0:
         for p in range(np.uint64(lists.spans[i, BEGIN]), np.uint64(lists.spans[i, BEGIN] + lists.spans[i, COUNT])):
             prefetch(rows.segment, lists.pool[p])
@@ -143,7 +143,7 @@ def prefetch_neighbours(rows, lists, i):
 
 @lean_inner
 def prefetch_next(rows, lists, queue):
-    """A bucket is over: what the next events need comes to the cache while others are worked on; rows, lists, then neighbours."""
+    """Prefetch for later events, when a bucket is over: first their rows, then the lists of these, then their neighbours."""
     node, first, present = queue.node, queue.first, queue.present
     last = len(first) - 1
     prefetch_row(rows, lists, queue, np.int64(first[min(present[0] + EARLY, last)]))

@@ -1,8 +1,8 @@
 """The operator `event`: hard spheres and walls in exact order of time, the reference for `rewind`.
 
-Every particle knows its next event; the first of all takes place, and only those whom it concerns look for their next ones
-again: O(1) work a contact, whatever N is. On several ranks space is divided and ranks compute their parts in verified windows
-of time (`windows`), or, where there is too little to divide, every rank computes everything (`Whole`). The bits are the same.
+The next event of every particle is known. The first event of all takes place, and only the particles that it concerns look for
+new ones: O(1) work for a contact, whatever N is. On several ranks space is divided, and ranks compute their parts in verified
+windows of time (`windows`); if particles are too few for that, every rank computes everything (`Whole`). The bits are the same.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ class EventDriven:
         self, particles: Particles, context: Context, effects: ActiveEffects, pairs: PairContacts,
         hold: Callable[[float, int], None] | None,
     ):  # fmt: skip
-        """`hold`: keeps the contacts of a crowd after a kick (`PersistentContacts.keep_crowds`) of a step of h, after so many
-        attempts at the drift, if contacts can last. `noting`: does `last` tell the last contacts of each drift?
+        """`hold(h, tried)`: keeps the contacts of a crowd (`PersistentContacts.keep_crowds`) after so many attempts at the drift
+        of a step of h; None if contacts cannot last. `noting`: does `last` keep the last contacts of each drift?
         """
         self.ranks, self.particles, self.box, self.timers = context.ranks, particles, context.box, context.timers
         self.given_duration = duration = pairs.options.contact_duration
@@ -100,20 +100,20 @@ class EventDriven:
 
     @property
     def reached(self) -> float:
-        """How long the last drift with `stop` took."""
+        """The time that the last drift with `stop` took."""
         return float(self.stopped[0])
 
     @property
     def met(self) -> tuple[int, int] | None:
-        """The ids of the two that ended it, the lower one first, or None."""
+        """The ids of the two particles that ended that drift, the lower one first, or None."""
         lower, higher = int(self.stop[LOWER]), int(self.stop[HIGHER])
         return (lower, higher) if lower >= 0 else None
 
     def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
-        """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
+        """Do x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
-        `moment`: the time at which the drift begins; `rates`: how velocities change in the step.
-        With `stop` it ends with the first collision of two particles, who `met`, after `reached`, h if there is none.
+        `moment`: the time at which the drift begins; `rates`: how velocities change in the step. With `stop` it ends at the first
+        collision of two particles: their ids are `met`, and its time is `reached` (h if there is none).
         """
         given, self.rates = self.given_duration, rates
         self.collapse = self.collapse._replace(duration=DURATION * h if given is None else given)
@@ -133,7 +133,7 @@ class EventDriven:
         return happened
 
     def undo(self, rows: dict[str, Array]) -> None:
-        """Everyone as in `rows`, columns of all that a drift may change, from before it. Collective."""
+        """Undo a drift: `rows` are copies, from before it, of all columns that it may change. Collective."""
         p = self.particles
         if self.ranks.any(not np.array_equal(p.id, rows["id"])):
             rows = allgather_rows(self.ranks, rows)
@@ -142,7 +142,7 @@ class EventDriven:
             p[name][:] = values
 
     def drift_once(self, h: float, moment: float, stop: bool, crowd_from: int) -> Array:
-        """One attempt at the drift: particles with `crowd_from` quick contacts in it have no more, and are marked as CROWD."""
+        """Try the drift once: a particle with `crowd_from` quick contacts in it has no further ones, and is marked as CROWD."""
         step = crowd_from, self.rates, self.collapse
         if self.divided and not stop and self.pause:
             self.pause -= 1
@@ -172,7 +172,7 @@ class EventDriven:
         return happened * self.ranks.is_root
 
     def count_tc_elastic(self, moment: float, engine: Engine) -> None:
-        """How many contacts took no energy, and which were the first."""
+        """Count the contacts that took no energy, and keep the first ones."""
         count = int(engine.work.counts[TC_ELASTIC])
         before, begin, rows = self.tc_elastic
         if count and not before:
@@ -180,7 +180,7 @@ class EventDriven:
         self.tc_elastic = before + count, begin, rows
 
     def pass_by(self, h: float, drifts: int) -> None:
-        """Drifts that were done by other means: the next one here finds that rows have moved."""
+        """Do nothing about drifts that were done elsewhere: the next drift notices by itself that rows have moved."""
 
     def remarks(self) -> list[str]:
         """What a user should be told at the end. Collective."""

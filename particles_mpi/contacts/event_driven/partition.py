@@ -1,8 +1,8 @@
-"""Which rows a rank has in mode `event` on several ranks: its own, and as ghosts those that they may meet in a step.
+"""The rows of a rank in mode `event` on several ranks: its own, and as ghosts those that they may meet in a step.
 
-Space is divided into regions. A rank owns the particles whose reference positions are in its region, and has those near it as
-ghosts, to a depth through which errors must come. Reference positions, and with them owners and holders of rows, change in the
-course of a step; particles follow at its end.
+Space is divided into regions. A rank owns the particles whose reference positions are in its region. It has those near it as
+ghosts; an error that begins outside must pass through all this depth to reach its own rows. Reference positions, and with them
+the owners and holders of rows, change within a step; the fields of particles are sent at its end.
 """
 
 import numpy as np
@@ -41,12 +41,12 @@ MOST_ON_ONE_RANK = 0.75  # of all particles on one rank, ghosts included: then e
 
 
 class Partition:
-    """The rows of this rank in an engine, and who else holds them.
+    """The rows of this rank in an engine, and which ranks hold them.
 
     version: of the particles that the rows are of, or -1; own_rows (particles,): the row of each; neighbours: the ranks that
-    messages go to; directory: who holds which row; skin: of the neighbour lists of all ranks, a length; depth: of the ghosts, in
-    mean diameters; one_holds_most: does a rank hold nearly all?
-    Counted: redistributions (`searches`), particles that this rank sent to other ranks (`migrated`), and ghosts.
+    messages go to; directory: which ranks hold a row; skin: of the neighbour lists of all ranks, a length; depth: of the ghosts,
+    in mean diameters; one_holds_most: does a rank hold nearly all? Counted: redistributions (`searches`), particles that this
+    rank sent to other ranks (`migrated`), and ghosts.
     """
 
     directory: Directory
@@ -62,7 +62,7 @@ class Partition:
         self.total = ranks.total(len(particles))[0]
 
     def redistribute(self) -> None:
-        """Particles to the ranks whose regions they are in, ghosts to all who need them, new lists for all. Collective."""
+        """Send particles to the ranks whose regions they are in, and ghosts to all that need them; make new lists. Collective."""
         p, engine, ranks, lists = self.particles, self.engine, self.ranks, self.engine.lists
         self.balance.update(p, self.searches)
         self.row_buffers.adopt()
@@ -109,7 +109,7 @@ class Partition:
         self.searches += 1
 
     def divide(self, largest: float, mean: float) -> None:
-        """The regions of all ranks, and those who may have to exchange messages; `largest`, `mean`: radius of all particles."""
+        """Set the regions of all ranks, and which may have to exchange messages; `largest`, `mean`: radius of all particles."""
         me, domain, length = self.ranks.rank, self.balance.decomposition, self.box.length
         low = np.where(length > 0.0, np.maximum(domain.lower, self.box.lower), domain.lower)
         high = np.where(length > 0.0, np.minimum(domain.upper, self.box.upper), domain.upper)
@@ -122,12 +122,12 @@ class Partition:
         self.regions = Regions(low, high, tuple(self.box), me, np.array([*self.neighbours, me]), reach, bound, depth)
 
     def locate_fields(self) -> None:
-        """The fields of own particles are on this rank, in the order of the particles: so it is at the start of a drift."""
+        """Record that the fields of own particles are on this rank, in their order, as at the start of a drift."""
         self.directory.fields_at[self.own_rows, HOLDER] = self.ranks.rank
         self.directory.fields_at[self.own_rows, PLACE] = np.arange(len(self.particles))
 
     def send_motion(self) -> None:
-        """Ghosts start on the segments that their owners' rows start on. Collective."""
+        """Start ghosts on the same segments as the rows of their owners. Collective."""
         rows, holders, d = self.engine.rows, self.directory.holders, len(self.box.length)
         shared = np.flatnonzero(rows.state[:, OWNERSHIP] == SHARED)
         numbers = [rows.state[shared, ID].view(float), rows.segment[shared, : 2 * d]]
@@ -146,7 +146,7 @@ class Partition:
                 at += column.shape[1]
 
     def plan_moves(self) -> Moves:
-        """For the own rows that got new reference positions: who must hold them, and who owns them."""
+        """Find, for own rows that got new reference positions, which ranks must hold them, and which one owns them."""
         log, domain = self.engine.log, self.balance.decomposition
         moved = int(log.moved_count[0])
         moves = Moves(np.zeros((moved, self.directory.holders.shape[1]), np.int64), np.empty(moved, np.int64))
@@ -155,7 +155,7 @@ class Partition:
         return moves
 
     def changes_for(self, bit: int, moves: Moves) -> Array:
-        """What happened in the window, for the known rank of a bit."""
+        """Return the message about what happened in the window, for the known rank of a bit."""
         engine, log, d = self.engine, self.engine.log, len(self.box.length)
         parts = int(log.border_count[0]) + 3 * int(log.moved_count[0])
         message = message_of(np.empty(parts * widest_part(d)))
@@ -165,7 +165,7 @@ class Partition:
         return message[0][:size].copy()  # the rest of the room is given back
 
     def grow(self) -> None:
-        """More rows than there is room for came near."""
+        """Make room for more rows, when more came near than there is room for."""
         more, old = self.engine.grow(), self.directory
         old.free_count[0] = len(more)
         state = self.engine.rows.state
@@ -175,7 +175,7 @@ class Partition:
         )
 
     def migrate(self) -> None:
-        """The fields of particles that changed owner go to their new owners. Collective."""
+        """Send the fields of particles that changed owner to their new owners. Collective."""
         p, ranks, fields_at = self.particles, self.ranks, self.directory.fields_at
         came = np.flatnonzero((self.engine.rows.state[:, OWNERSHIP] >= OWN) & (fields_at[:, HOLDER] != ranks.rank))
         order, counts = by_destination(fields_at[came, HOLDER], ranks.size)

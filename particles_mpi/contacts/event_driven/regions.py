@@ -1,4 +1,4 @@
-"""The regions of space that ranks own: which ranks must know a row, and which ghosts can affect own rows."""
+"""The regions of space that ranks own in mode `event`: which ranks must know a row, and which ghosts can affect own rows."""
 
 from math import floor
 from typing import NamedTuple
@@ -38,7 +38,7 @@ class Moves(NamedTuple):
 def distances2(low: Array, high: Array, rank: int, length: Array) -> Array:
     """Squares of the distances (ranks,) from one rank's region to the nearest image of each; the same bits from both sides.
 
-    For if one of two ranks took the other for a neighbour, and not the other way round, it would wait for a message for ever.
+    If only one of two ranks took the other for a neighbour, it would wait for a message for ever.
     """
     apart = np.full(low.shape, np.inf)
     for shift in (0.0, length, -length):
@@ -127,7 +127,7 @@ def place_at_begin(rows, log, i, begin, place, p):
 def can_affect_owned(rows, lists, log, regions, i, begin, place):
     """May row i, wherever it went in the window that began at `begin`, have touched an own row? `place` (2, d) is scratch.
 
-    It may if one was so near to it then that both can have come together. Most rows are too far from the region for any.
+    It may if an own row was so near to it at that time that the two can have met. Most rows are too far from the region for that.
     """
     segment, links, nearby = rows.segment, lists.links, lists.nearby
     _, _, length = lists.box

@@ -1,4 +1,4 @@
-"""What a rank knows of particles during a drift: a row each, its own ones and ghosts, which are copies of other ranks' ones.
+"""What a rank knows of particles during a drift: a row for each of its own particles, and for each ghost of another rank's one.
 
 The log of a window of time tells which rows were changed in it, and what they were before, so that changes can be sent or undone.
 A record of a row is its segment without the radius, then the first SAVED columns of its state, in the same memory, and then its
@@ -28,13 +28,13 @@ HARDLY = 2.0**-200  # too little for a velocity to change a position
 
 
 class Rows(NamedTuple):
-    """The rows as the kernels take them, some of them free.
+    """The rows as the kernels take them; some of them are free.
 
     A particle's path in a drift is made of straight segments: x + v (t - START) from its last contact on. Its position is not
-    brought to other times before the next contact, so that no look at it leaves a trace in the bits. Of each row, in `state`:
+    computed for other times before the next contact, so that reading it leaves no trace in the bits. Of each row, in `state`:
     LAST_PARTNER in this drift is an id, -1 - wall, or NOBODY; TRAJECTORY_HASH, a hash of all its segments in this drift;
-    EVENT_COUNT, how often its path was changed: an event that was foreseen with another count is void. In `reals`: the time
-    of its LAST_CONTACT, and VIRIAL, the sum of r.J over its collisions (`law.collide_pair`).
+    EVENT_COUNT, how often its path was changed: an event that was predicted with another count is void. In `reals`: the time of
+    its LAST_CONTACT, and VIRIAL, the sum of r.J over its collisions (`law.collide_pair`).
     """
 
     segment: Array  # (n, 2 d + 2): x (d), v (d), START, RADIUS
@@ -49,16 +49,16 @@ class Rows(NamedTuple):
 
 @inner
 def dimension(rows):
-    """Of space, in kernels that are compiled for all dimensions at once."""
+    """Return the dimension of space, in kernels that are compiled once for all dimensions."""
     return rows.segment.shape[1] // 2 - 1
 
 
 @lean
 def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, spin, own_rows):
-    """Own rows on segments from (x, v) at time 0; particle p is row own_rows[p]. The last three fields may have no row.
+    """Start own rows on segments from (x, v) at time 0; particle p is row own_rows[p]. The last three fields may have no row.
 
-    Returns (moved, speed): did anyone change a position or radius since `end_drift`, and the largest speed, inf if
-    anything is not finite.
+    Returns (moved, speed): was a position or radius changed since `end_drift`, and the largest speed, inf if anything is not
+    finite.
     """
     rows = Rows(*rows)
     segment, state, reals = rows.segment, rows.state, rows.reals
@@ -89,9 +89,9 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, sp
 
 @lean
 def end_drift(axes, rows, h, reference, box, stops):
-    """All rows to time h, in a periodic box with their `reference` positions. Returns how many own ones were squeezed.
+    """Move all rows to time h, in a periodic box with their `reference` positions. Returns how many own rows were squeezed.
 
-    Jammed rows get their velocities back, or come to rest if what is jammed `stops`.
+    Jammed rows get their velocities back, or velocity 0 if the drift `stops` them.
     """
     rows = Rows(*rows)
     segment, state = rows.segment, rows.state
@@ -120,7 +120,7 @@ def end_drift(axes, rows, h, reference, box, stops):
 
 @lean
 def write_back(axes, rows, x, v, last_contact, virial, supported, spin, crowd_from, own_rows):
-    """Particle p as row own_rows[p] is; those with `crowd_from` quick contacts are CROWD in `supported` if that has rows."""
+    """Copy row own_rows[p] to particle p. Rows with `crowd_from` quick contacts become CROWD in `supported`, if that has rows."""
     rows = Rows(*rows)
     segment, state, reals = rows.segment, rows.state, rows.reals
     d = len(axes)
@@ -215,7 +215,7 @@ def load_row(d, rows, i, record, bits, at):
 
 @in_place
 def save_once(axes, rows, i, log):
-    """Row i is about to change: save it, once in a window."""
+    """Save row i before its first change in a window."""
     mark, count = log.mark, log.changed_count
     if mark[i] < log.stamp[0]:
         mark[i] = log.stamp[0] + count[0]

@@ -1,8 +1,7 @@
 """The contact of two rows on their straight segments: when they touch, and how their velocities change.
 
-`touch_time` and `collide` are copies of `law.contact_time` and `law.collide_pair` for rows that hold everything of a
-particle's path together: one line of memory is read for it instead of four.
-`tests/unit/test_contact_law.py` holds them to the same bits.
+`touch_time` and `collide` are copies of `law.contact_time` and `law.collide_pair` for rows in which the whole path of a particle
+lies together, so that one line of memory is read instead of four. `tests/unit/test_contact_law.py` checks that bits are the same.
 """
 
 from math import sqrt
@@ -24,9 +23,9 @@ columns_of_segments: Any = columns_of(lambda d: 2 * d + RADIUS + 1)
 
 @screening
 def may_touch(axes, segment, i, others, place, now, until, length, boxes_per_length):
-    """Bit p is 0 if row i and row p of eight `others` move apart from now on, or are clear of each other until then.
+    """Return bits: bit p is 0 if row i and row p of eight `others` move apart from now on, or do not touch before `until`.
 
-    That is by margins above round-off. `place` (d,): where row i is now; others: their `columns_of_segments`.
+    Margins are above round-off. `place` (d,): where row i is now; others: their `columns_of_segments`.
     """
     d = len(axes)
     a, b, r2 = eight(0.0), eight(0.0), eight(0.0)
@@ -98,7 +97,7 @@ def is_nearest_image(d, r, length):
 
 @lean_inner
 def move_to(axes, segment, i, t):
-    """A new segment of row i begins at time t, where the old one gets then. The same as `kernels.motion.move_to`."""
+    """Begin a new segment of row i at time t, where the old one gets then. The same as `kernels.motion.move_to`."""
     d = len(axes)
     for k in range(d):
         segment[i, k] += segment[i, d + k] * (t - segment[i, 2 * d + START])
@@ -107,11 +106,11 @@ def move_to(axes, segment, i, t):
 
 @in_place
 def collide(axes, segment, reference, i, j, t, loss, length, rates, rough, smooth, r):
-    """The contact of rows i and j at time t: `law.collide_pair` on segments, with its virial; r (d,) is scratch.
+    """Collide rows i and j at time t: `law.collide_pair` on segments, with its virial; r (d,) is scratch.
 
-    `smooth`: this one is, even if spheres are rough.
+    `smooth`: treat this contact as smooth, even if spheres are rough.
 
-    On a line there is one normal even for points, which have no distance when they touch: there, the impulse is that of r = 1.
+    On a line even points, which have no distance when they touch, have a normal: there, the impulse is that of r = 1.
     """
     d = len(axes)
     restitution, velocity_factor = loss

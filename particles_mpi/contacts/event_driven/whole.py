@@ -1,4 +1,4 @@
-"""The drift where space is not divided: every rank has all particles and computes all contacts; there is nothing to agree on."""
+"""The drift where space is not divided: every rank has all particles and computes all contacts, so ranks need not compare."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ CHANGING = ("position", "velocity", "contacted", "virial", "supported", "total_a
 
 
 class Whole:
-    """All particles on every rank, sorted in space, and an `Engine` that has them: as fast as one rank."""
+    """All particles on every rank, sorted in space, and an `Engine` that holds them. A drift takes as long as on one rank."""
 
     def __init__(self, particles: Particles, ranks: Communicator, engine: Engine, timers: Timers):
         self.engine, self.ranks, self.timers = engine, ranks, timers
@@ -30,7 +30,7 @@ class Whole:
         self.searches = 0
 
     def drift(self, h: float, moment: float, stop: bool) -> Array:
-        """Of all particles; returns the (collisions, wall hits, missed) of all. Collective."""
+        """Drift all particles over h; returns the (collisions, wall hits, missed) of all. Collective."""
         p, engine = self.particles, self.engine
         with self.timers("exchange"):
             self.replica.gather()
@@ -58,7 +58,7 @@ class Whole:
         return np.array([engine.work.counts[COLLISIONS], engine.work.counts[WALL_HITS], squeezed])
 
     def rows_of_rank(self) -> Array:
-        """Where the particles of this rank are among all."""
+        """Return the rows of this rank's particles among those of all ranks."""
         return self.own_rows if self.ranks.size == 1 else self.replica.row_of[self.replica.particles.id]
 
     def check(self, speed: float, moment: float) -> None:
@@ -66,7 +66,7 @@ class Whole:
         require_finite(self.ranks, self.particles, speed, f"t = {moment:g}")
 
     def check_way(self, longest: float, moment: float) -> None:
-        """Raise where the fastest particle would leave its neighbourhood again and again for minutes, on the way of a drift."""
+        """Raise StateError where the fastest particle leaves its neighbourhood so often in a drift that it takes minutes."""
         times = longest / self.engine.lists.skin
         if times > MOST_SKINS:
             p, square = self.particles, row_dot(self.particles.velocity, self.particles.velocity)

@@ -1,12 +1,12 @@
 """Mode `event` on several ranks: each computes its part of space a short window of time ahead, and ranks verify one another.
 
-Space is divided into regions. A rank owns the particles whose reference positions are in its region, has those near it as
-ghosts, and computes all contacts among these rows in the window as if there were no others. That is right for its own particles
-unless one of them touched, or should have touched, a ghost that went wrong here for lack of what is beyond the ghosts. So after
-a window owners send what happened to their rows. If a ghost that was so near to an own particle that they can have touched has
-another trajectory hash at its owner, all ranks undo the window and compute half of it. If there is none, the union of what the
-owners found is the exact run (contacts/README.md has the proof); ghosts that went wrong further out are
-corrected. Windows leave no trace in the bits.
+Space is divided into regions. A rank owns the particles whose reference positions are in its region, has those near it as ghosts,
+and computes all contacts among these rows in the window as if there were no others. That is right for its own particles unless
+one of them touched, or should have touched, a ghost that is wrong here because particles beyond the ghosts are unknown. So owners
+send what happened to their rows after a window. If a ghost has another trajectory hash at its owner, and was so near to an own
+particle that the two can have touched, all ranks undo the window and compute half of it. Otherwise the results of all owners
+together are the exact run (contacts/README.md has the proof), and wrong ghosts further out are corrected. Windows leave no trace
+in the bits.
 """
 
 import numpy as np
@@ -40,7 +40,7 @@ UNTRIED = 1000  # windows a step at most where the number of contacts is not kno
 class Windows:
     """Drifts the particles of all ranks; `count`: how many windows there were; `redone`: how many of these were undone.
 
-    `always`: even where it does not pay, for tests and to compile everything.
+    `always`: use windows even where they do not pay, for tests and to compile all kernels.
     """
 
     events: float
@@ -59,7 +59,7 @@ class Windows:
         return self.partition.searches
 
     def drift(self, h: float, moment: float) -> Array | None:
-        """(collisions, wall hits, missed) of this rank, or None where it cannot be done; then nothing has changed. Collective."""
+        """Return the (collisions, wall hits, missed) of this rank; None if it cannot be done, with no change. Collective."""
         engine, p = self.engine, self.particles
         with self.timers("agree"):
             speed = self.prepare(moment)
@@ -100,7 +100,7 @@ class Windows:
         return np.array([engine.work.counts[COLLISIONS], engine.work.counts[WALL_HITS], squeezed])
 
     def prepare(self, moment: float) -> float:
-        """Own rows on their way, after `redistribute` where it is time for that; returns the largest speed of all. Collective."""
+        """Start own rows, after `redistribute` where it is due; returns the largest speed of all ranks. Collective."""
         p, engine = self.particles, self.engine
         while True:
             outdated = self.partition.version != p.version
@@ -120,12 +120,12 @@ class Windows:
         return float(speed)
 
     def redone_often(self) -> bool:
-        """Were too many windows redone since the depth of the ghosts was fitted?"""
+        """Were too many windows redone since the depth of the ghosts was last fitted?"""
         count, redone = self.count - self.verified[0], self.redone - self.verified[1]
         return redone > MOST_REDONE * max(count, ENOUGH) and self.partition.depth < MOST_DEPTH
 
     def fit_depth(self) -> None:
-        """More ghosts where many windows were redone, fewer where none was or ghosts are too many."""
+        """Make ghosts deeper where many windows were redone, and less deep where none was or there are too many ghosts."""
         if self.redone_often():
             self.partition.depth += DEEPER
         elif self.partition.one_holds_most or (self.redone == self.verified[1] and self.count > self.verified[0] + ENOUGH):
@@ -133,7 +133,7 @@ class Windows:
         self.verified = self.count, self.redone
 
     def one_window(self, begin: float, until: float, length: float, moment: float) -> bool:
-        """All contacts from `begin` to `until`, verified; False if they had to be undone. Collective."""
+        """Compute and verify all contacts from `begin` to `until`; False if they had to be undone. Collective."""
         engine, log, ranks, part = self.engine, self.engine.log, self.ranks, self.partition
         self.count += 1
         log.window[0] = self.count
@@ -162,14 +162,14 @@ class Windows:
         return True
 
     def undo(self, before: Array) -> None:
-        """All rows and counts as they were when the window began."""
+        """Set all rows and counts back to the start of the window."""
         engine = self.engine
         engine.pending = roll_back(tuple(engine.rows), tuple(engine.log), engine.work.stale)
         engine.work.counts[:] = before
         self.redone += 1
 
     def accept(self, message: tuple[Array, Array], differing: Array, moves: Moves) -> None:
-        """The window is right: correct the other ghosts, and let rows come, go and change owners."""
+        """Accept a window that is right: correct the other ghosts, and let rows come, go and change owners."""
         engine, part, at = self.engine, self.partition, 0
         rows, directory, regions = tuple(engine.rows), tuple(part.directory), tuple(part.regions)
         pending = reconcile(rows, directory, tuple(engine.log), message, differing, tuple(moves), regions, engine.work.stale)

@@ -1,4 +1,4 @@
-"""Contacts that have an impulse, as `direct` chooses them: the order of their equations, and their solution (A.-L. Cholesky)."""
+"""The contacts that `direct` chooses to have an impulse: the order of their equations, and their solution (A.-L. Cholesky)."""
 
 from math import inf, sqrt
 from typing import NamedTuple
@@ -12,7 +12,7 @@ DEPENDENT = 1e-14  # of its diagonal element: below it a contact can do nothing 
 
 
 class Active(NamedTuple):
-    """The state of the method: which contacts are chosen, and their impulses."""
+    """The state of the method: which contacts are chosen, and the impulses of all."""
 
     matrix: Array  # (m, m) A: what an impulse at one contact does to the approach at another
     impulse: Array  # (m,) of each contact
@@ -66,7 +66,7 @@ def solve_factorized(active, size):
 
 @inner
 def change_impulses(active, size, most):
-    """Add `most` times x to the impulses of the chosen contacts, or less: until that of one is 0, which is let go.
+    """Add `most` times x to the impulses of the chosen contacts, or less: the first one that comes to 0 ends it, and is let go.
 
     Returns (how many times x was added, how many contacts are left, how many of these, from the first on, kept their place).
     Nothing changes if `most` is infinite and no impulse comes to be 0.
@@ -91,7 +91,7 @@ def change_impulses(active, size, most):
 
 @inner
 def solve_for_chosen(active, size):
-    """To x the impulses that the chosen contacts need besides, for their speeds to be 0."""
+    """Write to x the changes of impulses of the chosen contacts with which their speeds become 0."""
     for r in range(size):
         active.x[r] = -active.speeds[active.chosen[r]]
     solve_factorized(active, size)
@@ -107,7 +107,7 @@ def contacts_by_row(rows, size):
 
 @inner
 def visit_from(first, done, start, of_row, rows, w, place, queue):
-    """Rows that contacts lead to from row `first`, the nearest ones first: to queue[done:], and their places there to `place`.
+    """Write the rows to which contacts lead from row `first`, nearest first, to queue[done:], and their places in it to `place`.
 
     start (len(w) + 1,), of_row: see `contacts_by_row`. Returns how far the queue reaches.
     """

@@ -1,25 +1,25 @@
-"""Velocities that let no contact close: the inelastic law of J. J. Moreau (Comput. Methods Appl. Mech. Eng. 177, 329 (1999)).
+"""Velocities at which no contact closes: the inelastic law of J. J. Moreau (Comput. Methods Appl. Mech. Eng. 177, 329 (1999)).
 
-Of all velocities at which no contact closes faster than it may, those nearest to the present ones, in kinetic energy, are
-sought. With p >= 0 the impulses of the contacts, N their normals, W = 1/m and c the speeds at which they may close, p is the
+Of all velocities at which no contact closes faster than it may, those are sought that are nearest to the present ones in kinetic
+energy. With the impulses p >= 0 of the contacts, their normals N, W = 1/m and the speeds c at which they may close, p is the
 minimum of p A p/2 + p (N v + c) with A = N^T W N. It is found by accelerated projected gradients with restarts (Y. Nesterov; B.
 O'Donoghue and E. Candes, Found. Comput. Math. 15, 715 (2015); for contacts H. Mazhar et al., ACM Trans. Graph. 34, 32 (2015)):
 
     p' = max(y - (N u + c)/D, 0),   u = v + W N y,   y' = p' + beta (p' - p).
 
-D is diagonal: for each row i the largest eigenvalue of the sum of n n^T over its contacts is bounded by b_i, and
-D = w_i b_i + w_j b_j makes D - A positive, so no step is too long. The impulse p of a contact is kept as a speed,
-p (w_i + w_j), by which it changes the approach of its partners. A half-edge is computed by the owner of its row, from
-velocities that ranks exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on
-any number of ranks. For rough spheres, max(., 0) is followed by a cut of the tangential impulses: `rough_iterations`.
+D is diagonal. For each row i, b_i is a bound of the largest eigenvalue of the sum of n n^T over its contacts. With D = w_i b_i +
+w_j b_j the matrix D - A is positive, so no step is too long. The impulse p of a contact is kept as a speed, p (w_i + w_j), by
+which it changes the approach of its partners. A half-edge is computed by the owner of its row, from velocities that ranks
+exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on any number of ranks.
+For rough spheres, max(., 0) is followed by a cut of the tangential impulses: `rough_iterations`.
 
-Large piles are solved to a tolerance only. There p is multiplied by the factor that makes p A p/2 + p (N v + c) least, before the
-iterations and after them: then errors do no work in sum over all contacts. Rough piles whose errors are far below that (CALM)
-are not multiplied: the factor itself is rounded, and would be what moves them.
+Large piles are solved only to a tolerance. Before and after the iterations p is multiplied by the factor at which p A p/2 + p (N
+v + c) is least: errors then do no work in sum over all contacts. Rough piles whose errors are far below the tolerance (CALM) are
+not multiplied, because the rounding of the factor itself would move them.
 
-With friction the problem is no minimum, and work past one says less: there, momentum is given up where errors do work, and, in
-the first half of the iterations, where they are more than GROWN times the least so far. What does not get to errors that are
-allowed is multiplied by that factor, if it is less than 1: so it adds no energy.
+With friction the problem is not the search for a minimum, and the work of errors tells less. Momentum is given up where errors do
+work, and, in the first half of the iterations, where they are more than GROWN times the least so far. If the errors do not become
+small enough, impulses are multiplied by the factor above, if it is less than 1: so no energy is added.
 """
 
 from collections.abc import Callable
@@ -98,18 +98,18 @@ class Iteration:
 
     @property
     def result(self) -> Array:
-        """Velocities of the rows."""
+        """The velocities of the rows after the last iteration."""
         return self.v[: len(self.sums)]
 
     def restart(self) -> None:
-        """Begin with the impulses of the table, without momentum."""
+        """Begin with the impulses of the table, and without momentum."""
         self.theta = FIRST_THETA
         begin(self.axes, 0, len(self.sums), self.problem, self.w, self.v0, self.v)
         if self.exchange:
             self.exchange(self.v)
 
     def advance(self, count: int, looks: bool = False) -> tuple[float, float, float]:
-        """So many iterations, with an exchange of ghosts after each; what the last one saw, if it `looks`."""
+        """Do so many iterations, with an exchange of ghosts after each. Returns the errors of the last one, if it `looks`."""
         for to_go in range(count - 1, -1, -1):
             self.theta, *seen = iterations(
                 self.axes, 1, self.problem, self.w, self.v0, self.v, self.other, self.theta, looks and not to_go, self.sums
@@ -120,17 +120,17 @@ class Iteration:
         return seen[0], seen[1], seen[2]
 
     def seen(self, errors: tuple[float, float, float]) -> Seen:
-        """What the last iteration, which looked, saw on all ranks, of its `errors` on this one."""
+        """Return what the last iteration, with these `errors` on this rank, saw on all ranks."""
         worst, over_round_off, most = self.ranks.largest(*errors)
         unit = unit_of_squares(worst)
         squares, work = self.ranks.total(*whole_numbers(self.sums, (unit, most if most > 0.0 else 1.0)))
         return Seen(worst, over_round_off, squares * unit, float(work))
 
     def until(self, rules: Rules, done: int, best: float) -> tuple[Seen, int, bool, bool]:
-        """Iterate until the `verdict` is that this may end: what was seen last, the iterations done, good, calm.
+        """Iterate until the `verdict` allows an end. Returns what was seen last, the iterations done, good, calm.
 
-        `done` and `best`: iterations, and the least sum of squares of errors, so far. Where no ghosts are exchanged, all is done
-        in one kernel: of a small pile, the calls would take longer than the iterations.
+        `done` and `best`: iterations, and the least sum of squares of errors, so far. Where no ghosts are exchanged, one kernel
+        does all: for a small pile, the calls would take longer than the iterations.
         """
         while True:
             if self.exchange:
@@ -151,7 +151,7 @@ class Iteration:
             best = min(best, seen.squares)
 
     def factor(self) -> float:
-        """Times what p A p/2 + p (N v + c) is least: in sum over all contacts errors do no work then."""
+        """Return the factor of all impulses at which p A p/2 + p (N v + c) is least: errors then do no work in sum."""
         (largest,) = self.ranks.largest(works(self.axes, self.problem, self.w, self.v0, self.v, self.sums))
         if not largest > 0.0:
             return 1.0
@@ -159,12 +159,12 @@ class Iteration:
         return -linear / quadratic if quadratic > 0 else 1.0
 
     def multiply(self, factor: float) -> None:
-        """All impulses."""
+        """Multiply all impulses by a factor."""
         self.table[:, self.impulse_columns] *= factor
         self.restart()
 
     def balance(self, least: float, most: float) -> None:
-        """All impulses times `factor`, if that is from `least` to `most`."""
+        """Multiply all impulses by `factor`, if it lies between `least` and `most`."""
         factor = self.factor()
         if least < factor < most:
             self.multiply(factor)
@@ -174,9 +174,9 @@ class Iteration:
     ) -> tuple[bool, int]:
         """Iterate until errors are allowed and `least` iterations are done, or only round-off is left, or `limit` are done.
 
-        `count`: half-edges of all ranks that may have an impulse; `asleep`: if given, asked whether a pile is at rest that begins
-        with errors that are allowed, or, of smooth spheres, with round-off; if so, it is left like that. Returns whether
-        errors are allowed, and the iterations done, 0 for a pile that is asleep.
+        `count`: half-edges of all ranks that may have an impulse. `asleep`: if given, it is called when a pile begins with errors
+        that are allowed, or, of smooth spheres, with round-off, and says whether the pile is at rest; if it is, nothing is
+        changed. Returns whether errors are allowed, and the iterations done, 0 for a pile that is asleep.
         """
         exact, near_one = least >= exact_from(self.rough), (1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
         rules = Rules(count, least, limit if exact else min(limit, ASKED), limit, self.rough)

@@ -1,8 +1,8 @@
-"""Who is near enough for a contact that may last: all half-edges that may be slow. See `operator`.
+"""Finds the contacts that may last: all half-edges that may be slow. See `operator`.
 
-`push` (d,) of a row: SLOW_PUSH times the change of velocity by forces in a step. A row counts as wider by its *reach*, the way
-that it goes in a step at HELD times that speed: contacts within that may be slow. The reach of a sphere is at most REACH radii,
-and of one in a crowd REACH_IN_CROWDS, so that none has more than some hundred contacts, whatever forces, speeds and steps there
+`push` (d,) of a row: SLOW_PUSH times the change of velocity by forces in a step. The radius of a row is enlarged by its *reach*,
+the distance that it moves in a step at HELD times that speed: contacts within it may be slow. The reach of a sphere is at most
+REACH radii, and in a crowd REACH_IN_CROWDS, so that none has more than some hundred contacts, whatever forces, speeds and steps
 are.
 """
 
@@ -40,7 +40,7 @@ class Contacts(NamedTuple):
 
 @lean_inner
 def reach_of(radius, far, most):
-    """How much further than its radius a row reaches that goes so far: at most so many radii, if it is no point."""
+    """Return the reach of a row that moves this `far`: at most `most` radii, unless it is a point."""
     return min(far, most * radius) if radius > 0.0 else far
 
 

@@ -1,11 +1,11 @@
-"""Few contacts of smooth spheres, solved directly: where iterations would not come to an end.
+"""Direct solution for few contacts of smooth spheres, where iterations would not end.
 
-That is so for very different masses, and for chains of spheres that are nearly straight, whose impulses are much larger than what
-presses them.
+That happens for very different masses, and for chains of spheres that are nearly straight, whose impulses are much larger than
+the forces that press them.
 
 The minimum of p A p/2 + p b for p >= 0 (see `descent`) is found by the method of active sets (C. Lawson and R. Hanson, Solving
-Least Squares Problems, 1974, chapter 23): contacts with an impulse are chosen one after the other, the equations of those
-chosen are solved by Cholesky's method, and what would pull is let go. It begins with those that have an impulse after iterations.
+Least Squares Problems, 1974, chapter 23): contacts are chosen to have an impulse, one after the other; the equations of those
+chosen are solved by Cholesky's method; a contact that would pull is let go. It begins with the impulses after the iterations.
 """
 
 from math import inf, sqrt
@@ -43,7 +43,7 @@ class System(NamedTuple):
 
 @inner
 def find_speeds(axes, system, active):
-    """To `active` the velocities after its impulses, and the speeds of its contacts."""
+    """Write to `active` the velocities after its impulses, and the speeds of its contacts."""
     edges, rows, table, w, v0 = system
     velocity, speeds = active.velocity, active.speeds
     velocity[:] = v0
@@ -100,7 +100,7 @@ def matrix_of(axes, edges, rows, table, w):
 
 @inner
 def round_off(axes, c, system, active):
-    """Of the speed of contact c: what rounding of all impulses that act on it does, and of the velocities of its rows."""
+    """Return the round-off of the speed of contact c: that of all impulses that act on it, and of the velocities of its rows."""
     total = 0.0
     for o in range(len(active.impulse)):
         total += abs(active.matrix[c, o]) * active.impulse[o]
@@ -128,8 +128,8 @@ def choose_those_that_bear(system, active):
 def let_go(axes, system, active, known, size):
     """Solve for the chosen contacts, and let go those that would pull, until none does.
 
-    `known`: so many rows of their factor are known. Returns (that number, how many contacts are chosen), the latter -1 if their
-    equations have no solution.
+    `known`: how many rows of their factor are known. Returns (that number, how many contacts are chosen); the latter is -1 if
+    their equations have no solution.
     """
     while size > 0:
         if factorize(active, known, size) < size:
@@ -157,9 +157,9 @@ def fastest_approach(axes, system, active):
 
 @inner
 def choose(active, new, known, size):
-    """Contact `new` is chosen, too; returns (rows of the factor that are known, how many are chosen, -1 if it cannot be).
+    """Choose contact `new` too; returns (rows of the factor that are known, how many contacts are chosen, -1 if it cannot be).
 
-    If it depends on those chosen, it takes over from one of them: what it does along with them moves nothing.
+    If it depends on those chosen, it replaces one of them: a combination of it and them moves nothing.
     """
     active.chosen[size] = new
     if factorize(active, known, size + 1) <= size:
@@ -176,7 +176,7 @@ def choose(active, new, known, size):
 
 @inner
 def refine(axes, system, active, known, size):
-    """Solve for what rounding has left of the speeds of the chosen contacts, some times."""
+    """Solve, some times, for the speeds of the chosen contacts that rounding has left."""
     for _ in range(REFINED if size > 0 and factorize(active, known, size) == size else 0):
         solve_for_chosen(active, size)
         for r in range(size):
@@ -187,7 +187,7 @@ def refine(axes, system, active, known, size):
 
 @inner
 def is_solution(axes, system, active, per_round_off):
-    """Does no contact pull, and none close but by errors that are allowed (`per_round_off`, see `Problem`) or round-off?"""
+    """Does no contact pull, and none close by more than allowed errors (`per_round_off`, see `Problem`) or round-off?"""
     for c in range(len(system.rows)):
         error = abs(active.speeds[c]) if active.inside[c] else max(-active.speeds[c], 0.0)
         if not error * per_round_off[system.edges[c, 0]] <= 1.0 and not error <= round_off(axes, c, system, active):
@@ -197,10 +197,10 @@ def is_solution(axes, system, active, per_round_off):
 
 @kernel
 def solve_directly(axes, problem, w, v0):
-    """To the table the impulses of contacts in the solution for velocities v0 (size + 1, d); returns whether one was found.
+    """Write the impulses of the solution for velocities v0 (size + 1, d) to the table; returns whether one was found.
 
     It begins with the impulses of the table. problem, w: see `Problem`; rows in the order of ids, and a last one for walls, whose
-    inverse mass is 0. If none is found, nothing has changed.
+    inverse mass is 0. If no solution is found, nothing is changed.
     """
     _, _, table, _, per_round_off = problem
     edges, rows = contacts_of(axes, problem)

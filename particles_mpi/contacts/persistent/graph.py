@@ -1,8 +1,8 @@
-"""Who is near whom, where contacts last: a rank's graph of contacts, which is kept while nothing moved further than a skin.
+"""The graph of contacts of a rank, where contacts last: which rows are near one another. It is kept until rows move by a skin.
 
-A *half-edge* leads from a row of this rank to a partner, its own or a ghost. A contact of two rows has two of them, one at each,
-which are computed each by the owner of its row, with the same bits. Half-edges of a row stand in the order of their partners'
-ids, so that sums over them have the same bits on any number of ranks.
+A *half-edge* leads from a row of this rank to a partner, which is another row or a ghost. A contact of two rows has two
+half-edges, one at each row; each is computed by the owner of its row, with the same bits. Half-edges of a row are in the order of
+their partners' ids, so that sums over them have the same bits on any number of ranks.
 """
 
 import numpy as np
@@ -32,9 +32,10 @@ class ContactGraph:
         self, ranks: Communicator, p: Particles, rows: Array, wide: Array, skin: float, length: Array, pairs: bool = True,
         points: bool = False,
     ):  # fmt: skip
-        """`wide` (len(p),): two rows are near up to a distance that is the sum of theirs; with no `pairs` none is.
+        """`wide` (len(p),): two rows are near if their distance is at most the sum of their widths. Without `pairs` no rows are
+        near.
 
-        Unless `points` touch one another, no two of them are near.
+        Two points are near only if `points` touch one another.
 
         Collective.
         """
@@ -62,7 +63,7 @@ class ContactGraph:
         self.start, self.other = half_edges(len(rows), near[0][touch], near[1][touch], self.id)
 
     def holds(self, p: Particles, wide: Array, zone: Array) -> bool:
-        """Are all pairs of rows in the zone (2, d) that are near, by `wide`, known to this rank?"""
+        """Does this rank know all pairs of rows in the zone (2, d) that are near, by `wide`?"""
         if p.version != self.version:
             return False
         return bool(covers(p.position, wide, zone, self.index, self.place, self.wide, 0.5 * self.skin, self.length))

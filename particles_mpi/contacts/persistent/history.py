@@ -1,4 +1,4 @@
-"""The graph of contacts and their impulses, from one solution to the next, which begins with them: a warm start."""
+"""The graph of contacts and their impulses, kept from one solution for the next one, which begins with them: a warm start."""
 
 import numpy as np
 
@@ -15,10 +15,10 @@ ROUND_UP = 1.000001  # times a width: so the graph has all that `inside_zone` fi
 
 
 class ContactHistory:
-    """The graph of who is near whom, and the impulses of its half-edges in the last solution.
+    """The graph of rows that are near one another, and the impulses of its half-edges in the last solution.
 
-    length (d,): of the periodic box, 0 along axes that are not periodic. `walls`: how many there are. `columns`: the shape of
-    the impulse of a half-edge. `points`: do points touch one another?
+    length (d,): of the periodic box, 0 along axes that are not periodic. `walls`: how many there are. `columns`: the shape of the
+    impulse of a half-edge. `points`: do points touch one another?
     """
 
     def __init__(self, ranks: Communicator, length: Array, walls: int, columns: tuple[int, ...], points: bool):
@@ -30,15 +30,15 @@ class ContactHistory:
         self.dilute = False  # has the graph few half-edges?
 
     def forget(self) -> None:
-        """No impulses are known."""
+        """Forget all impulses, and the graph."""
         self.memory, self.graph = self.nothing, None
 
     def restore(self, memory: Memory) -> None:
-        """Begin with these impulses of contacts of our rows."""
+        """Start from these impulses of contacts of our rows."""
         self.memory, self.graph = (memory if len(memory.id) else self.nothing), None
 
     def remembered(self) -> Memory:
-        """The impulses of our rows' contacts in the last solution."""
+        """Return the impulses of our rows' contacts in the last solution."""
         if self.graph is not None:
             self.memory = remember(self.graph, self.impulses, self.walls)
         return self.memory
@@ -48,7 +48,7 @@ class ContactHistory:
         return bool(self.impulses.any()) if self.graph else len(self.memory.id) > 0
 
     def graph_of(self, p: Particles, wide: Array, zone: Array) -> ContactGraph:
-        """The graph of all who are near one another in the zone (2, d), by widths (n,): new or as before. Collective."""
+        """Return the graph of rows in the zone (2, d) that are near by their widths (n,), new or the old one. Collective."""
         old = self.graph if self.graph and self.graph.holds(p, ROUND_UP * wide, zone) else None
         if self.ranks.any(old is None):
             least = p.radius.min(initial=np.inf, where=p.radius > 0.0)
@@ -64,7 +64,7 @@ class ContactHistory:
         return old
 
     def impulses_before(self, p: Particles, graph: ContactGraph) -> Array:
-        """The impulses of the half-edges of a new graph in the last solution. Collective."""
+        """Return the impulses that the half-edges of a new graph had in the last solution. Collective."""
         old = self.graph
         if old is not None and not np.array_equal(old.ids, p.id):  # rows have changed their rank, or their order
             old = None

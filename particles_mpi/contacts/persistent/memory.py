@@ -1,4 +1,4 @@
-"""The impulses of contacts in the last solution, with which the next one begins. They outlast the graph, and go where rows go."""
+"""The impulses of contacts in the last solution, with which the next one begins. They outlast the graph and follow their rows."""
 
 import numpy as np
 

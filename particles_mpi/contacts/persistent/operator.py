@@ -1,19 +1,20 @@
 """Contacts that last: spheres that forces press onto walls and one another come to rest there, and do not sink or rattle.
 
-A sphere that bounces lower and lower under a force would meet the wall more and more often, and never stop. Here a contact
-that is pressed along its normal, and whose next bounce would be over within a step or so, is *kept*: after every kick
-velocities become those nearest to them, in kinetic energy, with which no kept contact closes by more than its gap in a step
-(`descent`). That takes energy or none, for to be at rest is always allowed; it moves nothing, and all other contacts, with
-their restitution, it leaves to the drift: the faster ones, and those that nothing presses, as of balls side by side on a floor.
+A sphere that bounces lower and lower under a force would meet the wall more and more often, and never stop. Here a contact is
+*kept* if forces press it along its normal and its next bounce would be over within a few steps. After every kick, velocities
+become those, nearest to them in kinetic energy, with which no kept contact closes by more than its gap in a step (`descent`).
+That takes energy or none, because rest is always allowed, and moves nothing. All other contacts, with their restitution, are left
+to the drift: the faster ones, and those that nothing presses, such as those of balls side by side on a floor.
 
-Elastic spheres rest on one another, too, where all forces are uniform and walls take energy: those that are pressed stand on one.
+Elastic spheres rest on one another too, where all forces are uniform and walls take energy: those that are pressed stand on one.
 
-*Crowds.* A sphere that hits a pile sets all of it rattling, without end: every contact of it would take place hundreds of times
-in a step. A drift in which particles have many contacts within a hundredth of it is therefore done again, after `keep_crowds`:
-there they and all that touch them keep their contacts at any speed, as if e = 0, which is what many contacts with e < 1 come to.
+*Crowds.* A sphere that hits a pile would set all of it rattling without end: each contact in it would take place hundreds of
+times in a step. If particles have many contacts within a hundredth of a drift, it is therefore undone and repeated after
+`keep_crowds`: these particles, and all that touch them, keep their contacts at any speed, as if e = 0. Many contacts with e < 1
+lead to the same.
 
-Involved are few, as a rule: those that were supported before, those near walls, and those near these (the *zone*); where forces
-press free ones onto one another, all that touch. Each rank solves for its own rows, and gets those next to them as ghosts.
+Few rows are involved, as a rule: those that were supported before, those near walls, and those near these (the *zone*); but all,
+where forces press free spheres onto one another. Each rank solves for its own rows, with those next to them as ghosts.
 """
 
 import numpy as np
@@ -39,17 +40,17 @@ OUTWARDS = np.array([[-1.0], [1.0]])  # the signs of the ends of a box
 
 
 class PersistentContacts:
-    """Keeps the slow contacts of particles: with one another if `pairs`; with planes that take energy, or all if pairs take some.
+    """Keeps the slow contacts of particles: with one another if `pairs`; with planes that take energy, or with all if pairs do.
 
-    `uniform`: all forces give all particles the same acceleration, so that free ones never press onto
-    one another. `migrating`: do rows change their rank, though no `pairs` are kept?
+    `uniform`: all forces give all particles the same acceleration, so that free ones never press onto one another. `migrating`:
+    do rows change their rank, though no `pairs` are kept?
     """
 
     def __init__(self, context: Context, effects: ActiveEffects, p: Particles):
-        """Of effects with forces and losses that can make a contact last. Collective.
+        """For effects with forces and losses that can make a contact last. Collective.
 
-        Elastic spheres, too, come to rest on one another where the walls below them take energy and forces are the same for all;
-        and spheres that lose energy to one another on walls that take none, as long as they touch another sphere.
+        Elastic spheres, too, come to rest on one another where the walls below them take energy and forces are the same for all.
+        So do spheres that lose energy to one another on walls that take none, as long as they touch another sphere.
         """
         ranks, length, options = context.ranks, context.length, effects.pairs.options if effects.pairs else None
         pairs = self.lossy = effects.pairs is not None and effects.pairs.lossy
@@ -75,11 +76,11 @@ class PersistentContacts:
         self.totals = {"unconverged": 0}  # of this rank, which are counted for all by rank 0
 
     def keep(self, p: Particles, a: Array, h: float, undamped: Array | None = None) -> None:
-        """After a kick by accelerations a (n, d) in a step of h: velocities that keep slow contacts. Collective with pairs,
-        and where rows are migrating.
+        """Change velocities, after a kick by accelerations a (n, d) in a step of h, so that slow contacts are kept. Collective
+        with `pairs`, and where rows are migrating.
 
-        undamped (n,): which part drag has left of what constant forces gave in the kick (`Kick.undamped`). Contacts push all
-        through the kick, as those do: so drag takes as much of what they give, as if masses were larger.
+        undamped (n,): which part drag has left of the velocity that constant forces gave in the kick (`Kick.undamped`). Contacts
+        push during the whole kick, as those forces do, so drag takes the same part of what they give, as if masses were larger.
         """
         self.given, self.undamped = (self.given[0][:0], self.given[1][:0]), undamped
         if not self.awake:
@@ -110,7 +111,7 @@ class PersistentContacts:
             self.history.impulses[:] = self.solve(p, local, graph, inside, h, self.history.impulses, bool(known))
 
     def keep_crowds(self, p: Particles, a: Array, h: float, tried: int) -> None:
-        """As `keep`, but contacts with those that are CROWD, and with all who touch them, are kept at any speed.
+        """Do as `keep`, but keep contacts of particles that are CROWD, and of all that touch them, at any speed.
 
         `tried`: how often that was done since the kick, without success. Collective.
         """
@@ -135,12 +136,12 @@ class PersistentContacts:
             self.solve(p, local, graph, np.ones(graph.size + 1, np.bool_), h, last_impulses, True, tried)
 
     def zone(self, p: Particles, wide: Array, involved: Array) -> Array:
-        """The box (2, d) around those involved, in which contacts are sought. Collective."""
+        """Return the box (2, d) around the rows involved, in which contacts are sought. Collective."""
         ends = self.ranks.allreduce_max(zone_around(p.position, wide, involved))
         return np.where(self.length > 0.0, self.everywhere, ends * OUTWARDS)
 
     def local(self, p: Particles, a: Array, h: float, graph: ContactGraph) -> Local:
-        """The state of the graph's rows, and of ghosts as their owners have them. Collective."""
+        """Return the state of the graph's rows, and of ghosts as their owners have them. Collective."""
         size, d = graph.size + 1, p.dimension
         x, v, push, supported = np.empty((size, d)), np.empty((size, d)), np.empty((size, d)), np.empty(size)
         gather(graph.rows, p.position, p.velocity, a, p["supported"], SLOW_PUSH * h, x, v, push, supported)
@@ -157,7 +158,7 @@ class PersistentContacts:
         self, p: Particles, local: Local, graph: ContactGraph, inside: Array, h: float, last_impulses: Array, known: bool,
         tried: int | None = None,
     ) -> Array:  # fmt: skip
-        """As `SlowContacts.solve`: velocities into p; returns the impulses of half-edges of the graph."""
+        """Do as `SlowContacts.solve` and write velocities to p; returns the impulses of half-edges of the graph."""
         solution = self.slow.solve(local, graph, inside, h, last_impulses, known, tried)
         if not solution:
             p["supported"][graph.rows] = 0
@@ -167,10 +168,10 @@ class PersistentContacts:
         return solution.impulses
 
     def keep_on_walls(self, p: Particles, a: Array, h: float, rows: Array) -> None:
-        """As `keep`, of rows that nothing but walls can hold: each by itself, to the end.
+        """Do as `keep` for rows that only walls can hold: each row by itself, until it is solved.
 
-        Smooth ones need no memory. Of rough ones friction at one wall may be all that presses them onto another; the
-        impulses of their contacts go where rows go, which is collective where these are migrating.
+        Smooth rows need no memory. A rough row may be pressed onto a wall by nothing but its friction at another one, so impulses
+        are kept; they are sent where their rows are sent, which is collective where rows are migrating.
         """
         history = self.history
         if not self.kind.rough:
@@ -188,7 +189,7 @@ class PersistentContacts:
             history.graph, history.impulses = graph, self.solve(p, local, graph, inside, h, last_impulses, False)
 
     def give_back(self, p: Particles, rows: Array, v: Array, held: Array) -> None:
-        """To our particles: velocities v of `rows`, and which of them contacts hold."""
+        """Write velocities v, and whether contacts hold a row, to the `rows` of our particles."""
         d = p.dimension
         changed, by = hand_over(rows, np.ascontiguousarray(v[:, :d]), held, p.velocity, p["supported"])
         self.given = changed, by if self.undamped is None else by / self.undamped[changed, None]
@@ -202,5 +203,5 @@ def longest(vectors: Array) -> float:
 
 
 def slow_widths(p: Particles, a: Array, h: float) -> Array:
-    """Widths (n,) of rows with accelerations a (n, d): two with a slow contact are no further apart than the sum of theirs."""
+    """Return widths (n,) of rows with accelerations a (n, d): two with a slow contact are within the sum of theirs."""
     return np.asarray(widths(p.radius, a, HELD * SLOW_PUSH * h * h, REACH))

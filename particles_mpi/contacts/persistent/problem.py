@@ -1,4 +1,4 @@
-"""What `solver` is given: the contacts of a rank's rows, one row of a table for each half-edge."""
+"""The problem that `solver` is given: the contacts of a rank's rows, as a table with one row for each half-edge."""
 
 from math import sqrt
 from typing import NamedTuple
@@ -34,7 +34,7 @@ class Problem(NamedTuple):
 
 
 class Targets(NamedTuple):
-    """What is asked of each half-edge, (m,): it may close at `may_close`; `per_allowed`, `per_round_off`: see `Problem`."""
+    """What a solution must reach for each half-edge, (m,): it may close at `may_close`; the others: see `Problem`."""
 
     may_close: Array
     per_allowed: Array

@@ -36,7 +36,7 @@ from particles_mpi.kernels.jit import in_place, inner, kernel, with_item
 
 @in_place
 def give(axes, table, e, given, turned):
-    """Add the extrapolated impulse of half-edge e to what row i is `given` and `turned` by (tuples); returns both."""
+    """Add the extrapolated impulse of half-edge e to the sums `given` and `turned` (tuples) of row i; returns both."""
     d, s, at = len(axes), spins_of(axes), NORMAL + len(axes)
     share, spin_share = table[e, SHARE], table[e, at + SPIN_SHARE]
     extrapolated, tangential, rolled = share * table[e, EXTRAPOLATED], at + TANGENTIAL + d, at + TANGENTIAL + 2 * d + s

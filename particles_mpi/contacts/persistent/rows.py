@@ -37,7 +37,7 @@ def gather(rows, position, velocity, a, supported, scale, x, v, push, held):
 
 @kernel
 def hand_over(rows, v, held, velocity, supported):
-    """Velocities v (n, d) and who is `held` (n,) to the particles' `rows`; returns the rows that changed, and by how much."""
+    """Write velocities v (n, d), and whether rows are `held` (n,), to the particles; returns changed rows, and by how much."""
     changed, by, found = np.empty(len(rows), np.int64), np.empty(v.shape), 0
     for n in range(len(rows)):
         i, differs = rows[n], False

@@ -1,10 +1,10 @@
 """Which contacts last: what presses each of them, and below which speed it is slow. See `operator`. Plain arrays.
 
-The speed that *presses* a contact with the normal n is the larger one of two: the change of velocity along n that forces and
-the other contacts give its partners in a step, and n S n, where S is the sum of the stresses of both partners (the stress of a
-row: the sum of n' n' times what each of its contacts gives to it, which is w/(w + w') of its load). A contact is slow
-below that speed, or below HELD times it where one partner is held already. So a ball that rolls on a floor meets another one, or
-a wall, at any speed, for the floor has no load along that normal.
+The speed that *presses* a contact with the normal n is the larger of two. One is the change of velocity along n that forces and
+the other contacts give its partners in a step. The other is n S n, with the sum S of the stresses of both partners; the stress of
+a row is the sum of n' n' times what each of its contacts gives to it, which is w/(w + w') of the contact's load. A contact is
+slow below that speed, or below HELD times it where one partner is held already. So a ball that rolls on a floor meets another
+one, or a wall, with restitution at any speed: the floor has no load along that normal.
 """
 
 from math import inf
@@ -23,7 +23,7 @@ MOST_RETURN = 5.0  # allowed errors: what is further off its margin returns no f
 
 @kernel
 def approach(axes, start, partner, normal, v):
-    """The speed at which each half-edge closes, (m,), at velocities v (size + 1, d)."""
+    """Return the speed (m,) at which each half-edge closes, at velocities v (size + 1, d)."""
     closing, one = np.empty(len(partner)), np.uint64(1)
     for i in range(np.uint64(len(start) - 1)):
         for e in range(np.uint64(start[i]), np.uint64(start[i + one])):
@@ -36,7 +36,7 @@ def approach(axes, start, partner, normal, v):
 
 @kernel
 def loads(axes, start, partner, normal, w, load, push, net_push, stress):
-    """The net push (n, d) of each row, that is with what contacts under this `load` give it, and its stress (n, d, d)."""
+    """Compute the net push (n, d) of each row, with what contacts under this `load` give it, and its stress (n, d, d)."""
     one = np.uint64(1)
     for i in range(np.uint64(len(start) - 1)):
         for k in range(len(axes)):
@@ -115,7 +115,7 @@ def slow(contacts, closing, last_impulses, of_rows, pressed, h, tolerance, margi
 
 @kernel
 def felt_push(start, partner, w, larger_push, normal_impulses):
-    """The largest push (n,) of the contacts by which each row bears a load, of each that part which moves the row.
+    """Return the largest push (n,) of the contacts by which each row bears a load; only the part that moves the row.
 
     That is w_i/(w_i + w_j) of it, which is little for a heavy row on which a light one lies. w (size + 1,): inverse masses.
     """

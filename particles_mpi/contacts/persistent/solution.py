@@ -1,6 +1,6 @@
-"""From the rows of a graph to velocities that keep their slow contacts: which contacts are slow, and their impulses.
+"""Computes, for the rows of a graph, which contacts are slow, their impulses, and the velocities that keep them.
 
-`SlowContacts` finds the contacts of a graph, tells what presses each of them, which are slow with that, and calls the solver.
+`SlowContacts` finds the contacts of a graph, computes what presses each of them, which are therefore slow, and calls the solver.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ AS_PUSH = 2.0 * SLOW_PUSH  # times the impulse of a contact in a kick, which las
 
 
 class Found(NamedTuple):
-    """Contacts of a graph, and what they were found for: x, push, who is inside, the step."""
+    """Contacts of a graph, and what they were found for: x, push, which rows are inside, the step."""
 
     graph: ContactGraph
     for_these: tuple[Array, ...]
@@ -35,8 +35,9 @@ class Found(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What contacts and rows as in `for_these` come to: velocities (n, columns), who is held (n,), the impulses of half-edges of
-    the graph, and whether errors are allowed."""
+    """A solution for contacts and rows as in `for_these`: velocities (n, columns), which rows are held (n,), impulses of
+    half-edges of the graph, and whether errors are allowed.
+    """
 
     contacts: Contacts
     for_these: tuple[Array, ...]
@@ -74,11 +75,11 @@ class SlowContacts:
         known: bool,
         tried: int | None = None,
     ) -> Solution | None:
-        """Velocities that keep the slow contacts of rows `inside`; None if no rank has a contact. Collective.
+        """Return velocities that keep the slow contacts of rows `inside`; None if no rank has a contact. Collective.
 
-        `last_impulses`: of half-edges of the graph in the last solution, if that is `known`. `tried`: None after a kick; of a
-        crowd, how often it has been solved for since the kick. The velocities of a crowd keep contacts already, so impulses begin
-        at 0, and only the new ones are in the solution; a row is held if a contact of it has an impulse now or had one in
+        `last_impulses`: of half-edges of the graph in the last solution, if that is `known`. `tried`: None after a kick; for a
+        crowd, how often it has been solved since the kick. The velocities of a crowd keep contacts already, so impulses begin at
+        0, and only new ones are in the solution; a row is held if one of its contacts has an impulse now or had one in
         `last_impulses`.
         """
         contacts = self.contacts(local, graph, inside, h)
@@ -98,7 +99,7 @@ class SlowContacts:
         self, local: Local, graph: ContactGraph, contacts: Contacts, for_these: tuple[Array, ...], h: float, last_impulses: Array,
         count: int, tried: int | None,
     ) -> Solution:  # fmt: skip
-        """A new solution for `count` half-edges of all ranks; see `solve`. Collective."""
+        """Return a new solution for `count` half-edges of all ranks; see `solve`. Collective."""
         before, known, again = for_these[0], bool(for_these[-1]), tried is not None
         least = max(self.effort // count * (1 if known else UNKNOWN), self.kind.least) if self.pairs else self.exact
         load = AS_PUSH * before if known else self.load(local, graph, contacts, h, least)
@@ -131,7 +132,7 @@ class SlowContacts:
         )
 
     def contacts(self, local: Local, graph: ContactGraph, inside: Array, h: float) -> Contacts:
-        """The half-edges of rows `inside` that may be slow: as last time, where nothing but velocities has changed since.
+        """Return the half-edges of rows `inside` that may be slow: those of last time if only velocities have changed since.
 
         The last kick of a step and the first one of the next take place at the same positions.
         """
@@ -148,7 +149,7 @@ class SlowContacts:
         return contacts
 
     def load(self, local: Local, graph: ContactGraph, contacts: Contacts, h: float, least: int) -> Array:
-        """The load of all contacts that touch, as a push, if nothing but the pushes acts. Collective."""
+        """Return the load of all contacts that touch, as a push, if nothing but the pushes of rows acts. Collective."""
         touch = contacts.gap <= contacts.larger_push * h
         nothing = np.zeros((len(touch), *self.kind.columns))
         problem = self.kind.problem(local, graph, contacts, touch, exactly(contacts), nothing)
@@ -157,7 +158,7 @@ class SlowContacts:
         return self.kind.impulses(problem)
 
     def pressed(self, local: Local, graph: ContactGraph, contacts: Contacts, load: Array, before: Array) -> Array:
-        """The speed (m,) that presses each contact, by pushes of rows and the load of contacts, now or `before`. Collective."""
+        """Return the speed (m,) that presses each contact, by pushes and the load of contacts, now or `before`. Collective."""
         net_push, stress = np.zeros_like(local.push), np.zeros((*local.push.shape, local.push.shape[1]))
         some, along = (contacts.start, contacts.partner, contacts.normal), along_normals(load)
         loads(self.axes, *some, local.w, along, local.push, net_push, stress)
@@ -168,7 +169,7 @@ class SlowContacts:
     def chosen(
         self, local: Local, contacts: Contacts, before: Array, pressed: Array, h: float, least: int
     ) -> tuple[Array, Targets]:
-        """Which contacts are slow, and how fast each may close, of those with the impulses `before` that are `pressed` now."""
+        """Return which contacts, with impulses `before`, are slow if so `pressed`, and the `Targets` of each."""
         closing = approach(self.axes, contacts.start, contacts.partner, contacts.normal, local.v)
         which, *targets = slow(
             tuple(contacts), closing, along_normals(before), (local.supported, local.radius), pressed, h,
@@ -178,6 +179,6 @@ class SlowContacts:
 
 
 def exactly(contacts: Contacts) -> Targets:
-    """That nothing closes, but for round-off of the larger pushes."""
+    """Return targets with which no contact closes, but for round-off of the larger pushes."""
     per_round_off = 1.0 / (PRECISE * contacts.larger_push)
     return Targets(np.zeros(len(per_round_off)), per_round_off, per_round_off)

@@ -1,7 +1,7 @@
-"""Which way contacts are solved: by iterations, of all ranks or of each for all (`Together`), or directly (`direct`).
+"""Chooses how to solve for contacts: iterations on all ranks, iterations on each rank for all (`Together`), or `direct`.
 
-Where iterations do not come to an end, few contacts are solved directly (`direct`): rough ones without friction, if iterations
-that begin there do not lead to a solution with it, for they must bear what lies on them.
+Few contacts for which iterations do not end are solved directly: smooth ones, or rough ones without friction. If iterations with
+friction that begin there find no solution, the one without friction stays: something must bear the load.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ Asleep = Callable[[Array], bool]  # are rows with these velocities, after the it
 
 
 class Solver:
-    """Solves for all ranks together; `iterations` counts those done, but for those after a direct solution."""
+    """Solves for all ranks together; `iterations` counts those done, without those after a direct solution."""
 
     def __init__(self, ranks: Communicator, axes: tuple[float, ...]):
         self.ranks, self.axes = ranks, axes
@@ -36,12 +36,11 @@ class Solver:
         self, problem: Problem, w: Array, v: Array, ids: Array, exchange: Callable[[Array], None], least: int,
         pairs: bool = True, asleep: Asleep | None = None,
     ) -> tuple[Array, bool, bool]:  # fmt: skip
-        """Velocities (n, d) at which no contact closes faster than it may, whether errors are allowed, and whether all is asleep;
-        to the table, the impulses of contacts. Without `pairs` each row of rough spheres is solved for by itself.
+        """Return velocities (n, d) at which no contact closes faster than it may, whether errors are allowed, and whether all is
+        asleep. Writes the impulses of contacts to the table. Without `pairs` each row of rough spheres is solved by itself.
 
         w (size + 1,): inverse masses; v (size + 1, d) and ids of rows and ghosts. For `least` and `asleep`, see
-        `Iteration.until_good`.
-        Collective.
+        `Iteration.until_good`. Collective.
         """
         if not pairs:
             result = v.copy()
@@ -72,10 +71,10 @@ class Solver:
 
 
 class Together:
-    """The contacts of all ranks on each of them: of few, exchanges between ranks would take longer than the iterations.
+    """The contacts of all ranks, on each of them: for few, exchanges between ranks would take longer than the iterations.
 
-    Each rank then computes the same bits for all rows that have some, in the order of ids; other rows keep their velocities and
-    are not sent. `run`: the iterations of all rows. Collective.
+    Each rank then computes the same bits for all rows that have contacts, in the order of ids; other rows keep their velocities
+    and are not sent. `run`: the iterations of all rows. Collective.
     """
 
     def __init__(self, ranks: Communicator, axes: tuple[float, ...], problem: Problem, w: Array, v: Array, ids: Array):
@@ -100,7 +99,7 @@ class Together:
         self.first = start[self.place]
 
     def ours(self) -> Array:
-        """Of the velocities so far those of our rows; to our table the impulses."""
+        """Return the present velocities of our rows, and write the impulses of their contacts to our table."""
         count = self.count[self.mine]
         within = np.arange(len(self.table)) - np.repeat(np.cumsum(count) - count, count)
         theirs = np.repeat(self.first, count) + within
@@ -112,7 +111,7 @@ class Together:
 
 
 def directly(run: Iteration, count: int, least: int) -> bool | None:
-    """Few contacts that iterations do not solve: are errors allowed now? None if nothing can be done.
+    """Solve few contacts for which iterations do not end. Returns whether errors are allowed now; None if nothing can be done.
 
     All rows are here, in the order of ids. `count`, `least`: see `Iteration.until_good`.
     """
@@ -125,7 +124,7 @@ def directly(run: Iteration, count: int, least: int) -> bool | None:
 
 
 def without_friction(run: Iteration) -> bool:
-    """Impulses along the normals by `direct`, of smooth spheres, or of rough ones of very different masses, without friction.
+    """Find impulses along the normals by `direct`: for smooth spheres, or rough ones of very different masses.
 
     All rows are here, in the order of ids. Returns whether that was done.
     """
@@ -143,7 +142,7 @@ def without_friction(run: Iteration) -> bool:
 
 
 def improve(run: Iteration, count: int, least: int) -> bool:
-    """Iterate from the impulses of the table; if that leads to no errors that are allowed, go back. Returns whether it does."""
+    """Iterate from the impulses of the table, and go back to them if errors do not become allowed. Returns whether they do."""
     before = run.table[:, run.impulse_columns]
     good, _ = run.until_good(count, least, limit=TRIED)
     if not good:

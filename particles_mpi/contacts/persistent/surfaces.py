@@ -1,7 +1,7 @@
-"""Impulses of smooth and of rough spheres, as the solver needs them: the two kinds answer the same calls of `solution`.
+"""Smooth and rough contacts for the solver: two classes with the same methods, which `solution` calls.
 
-Smooth ones have one along their normal, a number each. Rough ones also have one across it, and a couple: a row of numbers
-each; velocities and spins, and 1/m and 1/I, stand side by side.
+The impulse of a smooth contact is one number, along its normal. That of a rough one is a row of numbers: along the normal, across
+it, and a couple. Velocities and spins, and 1/m and 1/I, are then columns of one array.
 """
 
 from typing import NamedTuple
@@ -49,16 +49,16 @@ class Pile(NamedTuple):
     allowed: float
 
     def pushes(self, normal_impulses: Array) -> Array:
-        """The push (n,) that each row feels where contacts bear a load, or its own if that is more; 0 if none bears any.
+        """Return the push (n,) that each row feels where contacts bear a load, or its own if that is larger; 0 if none bears any.
 
-        normal_impulses (m,): above 0 where a contact bears.
+        normal_impulses (m,): above 0 where a contact bears a load.
         """
         contacts, own = self.contacts, self.local.push[: len(self.contacts.start) - 1]
         felt = felt_push(contacts.start, contacts.partner, self.local.w, contacts.larger_push, normal_impulses)
         return np.where(felt > 0.0, np.maximum(felt, np.sqrt(row_dot(own, own))), 0.0)
 
     def is_borne(self, normal_impulses: Array) -> bool:
-        """Does a wall or a fixed sphere bear anything? Else nothing says what rest is: all may be on its way together."""
+        """Does a wall or a fixed sphere bear a load? Otherwise rest has no meaning: all rows may move together."""
         return bool(((self.local.w[self.contacts.partner] == 0.0) & (normal_impulses > 0.0)).any())
 
     def piled(self, normal_impulses: Array) -> Array:
@@ -85,7 +85,7 @@ class SmoothContacts:
     def problem(
         self, local: Local, graph: ContactGraph, contacts: Contacts, which: Array, targets: Targets, impulses: Array
     ) -> Problem:  # fmt: skip
-        """For the solver: the contacts, of which `which` (m,) may have an impulse, and their impulses. Collective."""
+        """Return the problem for the solver: contacts, of which `which` (m,) may have an impulse, and impulses. Collective."""
         some, bound = (contacts.start, contacts.partner), np.zeros_like(local.w)
         bound_rows(self.axes, contacts.start, contacts.normal, local.w, which, bound)
         graph.exchange(bound)
@@ -93,7 +93,7 @@ class SmoothContacts:
         return Problem(*some, table, targets.per_allowed, targets.per_round_off)
 
     def motion(self, local: Local, graph: ContactGraph, v: Array, spin: Array) -> tuple[Array, Array]:
-        """For the solver: inverse masses, and velocities v (size + 1, d) with spins."""
+        """Return for the solver: inverse masses, and velocities v (size + 1, d) with spins."""
         return local.w, v
 
     def impulses(self, problem: Problem) -> Array:
@@ -104,19 +104,19 @@ class SmoothContacts:
         """Add the loads of contacts across their normals to the net pushes (n, d) of rows: smooth spheres have none."""
 
     def asleep(self, ranks: Communicator, pile: Pile, normal_impulses: Array, v: Array) -> bool:
-        """Do all who bear anything move by no more than what errors leave? Collective."""
+        """Is no row that bears a load faster than the errors of a solution make it? Collective."""
         held = carried(pile.contacts.start, normal_impulses) != 0
         return not ranks.any((self.quick(pile, normal_impulses, v) & held).any())
 
     def quick(self, pile: Pile, normal_impulses: Array, v: Array) -> Array:
-        """Which rows (n,) with velocities and spins v (n, columns) are faster than what errors leave."""
+        """Return which rows (n,), with velocities and spins v (n, columns), are faster than errors of a solution make them."""
         return np.asarray(row_dot(v, v) > (LEFT_BETWEEN * pile.pushes(normal_impulses)) ** 2)
 
     def at_rest(self, ranks: Communicator, pile: Pile, normal_impulses: Array, held: Array, v: Array) -> Array:
-        """Velocities v (n, d), where rows that bear others and are all but at rest stand still. Collective.
+        """Return velocities v (n, d), in which rows that bear others and are almost at rest have velocity 0. Collective.
 
         `held` (n,) is for rough spheres only. In piles that stand on something, speeds below the round-off of a solution become
-        0: in the drift they would be hundreds of collisions in a step between spheres that touch.
+        0: in the drift they would cause hundreds of collisions in a step between spheres that touch.
         """
         rests = ~self.quick(pile, normal_impulses, v)
         if not ranks.any(rests.any()) or not ranks.any(pile.is_borne(normal_impulses)):
@@ -174,7 +174,7 @@ class RoughContacts(SmoothContacts):
         return np.asarray((row_dot(v[:, :d], v[:, :d]) > most) | (row_dot(rim, rim) > most))
 
     def at_rest(self, ranks: Communicator, pile: Pile, normal_impulses: Array, held: Array, v: Array) -> Array:
-        """The same: iterations leave small velocities, which get less from step to step, and which no force explains.
+        """The same: iterations leave small velocities, which no force explains and which decay from step to step.
 
         In a pile, all spheres that bear others come to rest at once: one by one, each would be a small blow to its neighbours.
         """

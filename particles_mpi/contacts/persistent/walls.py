@@ -11,11 +11,10 @@ from particles_mpi.particles import Array, Particles
 
 
 class Walls:
-    """Those of the planes that are `keeping` contacts (bool, one for each plane). `len` is their number.
+    """The planes that are `keeping` contacts (bool, one for each plane). `len` is their number.
 
-    taking (walls,): which of them take energy, and keep contacts of a sphere that touches no other, too.
-    planes: their points and normals, (walls, d) each; faces: what all the planes bound, see `Planes`; straight: are all of
-    them faces along the axes?
+    taking (walls,): which of them take energy, and so also keep a sphere that touches no other one. planes: their points and
+    normals, (walls, d) each; faces: what all the planes bound, see `Planes`; straight: are all of them faces along the axes?
     """
 
     def __init__(self, planes: Planes, keeping: Array, taking: Array):

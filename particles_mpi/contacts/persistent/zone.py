@@ -1,4 +1,4 @@
-"""The zone: the box in which contacts are sought, around those involved; and crowds, which spread from row to row."""
+"""The zone, which is the box in which contacts are sought, around the rows involved; and crowds, which spread from row to row."""
 
 from math import inf
 
@@ -28,7 +28,7 @@ def inside_zone(x, wide, zone):
 
 @kernel
 def zone_around(x, wide, rows):
-    """-low and high (2, d) of the box around these rows with their widths; -inf if there are none."""
+    """Return -low and high (2, d) of the box around these rows with their widths; -inf if there are no rows."""
     ends = np.full((2, x.shape[1]), -inf)
     for i in rows:
         for k in range(x.shape[1]):
@@ -39,7 +39,7 @@ def zone_around(x, wide, rows):
 
 @kernel
 def spread(start, other, x, wide, length, crowd):
-    """Mark every row that touches a marked one, widths included, until no more are found; returns whether any was new."""
+    """Mark every row that touches a marked one, widths included, until there are no more; returns whether any was new."""
     new = False
     more = True
     while more:

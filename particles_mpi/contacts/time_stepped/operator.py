@@ -49,8 +49,8 @@ LOOK_AFTER = 3  # passes, after which partners that overlap are taken as a sign 
 class Rewind:
     """Drifts particles that collide with one another, and with walls if there are any.
 
-    `exact`: gives the operator that does drifts up to a collision, and if it `redoes` them, those with more contacts than
-    `passes` put in order; else they are just counted. `noting`: does `last` tell the last contacts of each drift?
+    `exact`: returns the operator `event`, for drifts up to a collision, and, if it `redoes` them, for those with more contacts
+    than `passes` put in order; else these are only counted. `noting`: are the last contacts of each drift kept in `last`?
     """
 
     def __init__(self, near: Neighbourhood, effects: ActiveEffects, pairs: PairContacts, exact: Callable[[], EventDriven]):
@@ -64,11 +64,11 @@ class Rewind:
         self.searches = -1  # the search of `near` that the arrays by row belong to
 
     def drift(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
-        """x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
+        """Do x += v h with every contact on the way; returns the (collisions, wall hits, missed) of this rank. Collective.
 
         `moment`: when the drift begins; `rates`: how velocities change in the step. If a collision throws a particle further than
-        the candidates reach, the drift is undone and done again with candidates of a longer reach. With `stop` it ends with the
-        first collision of two particles, and is done exactly.
+        the candidates reach, the drift is undone and repeated with candidates that reach further. With `stop` the operator
+        `event` does it, up to the first collision of two particles.
         """
         if stop:
             return self.exactly(h, moment, rates, stop=True)
@@ -96,12 +96,12 @@ class Rewind:
         return counts[:LATE]
 
     def pass_by(self, h: float, drifts: int) -> None:
-        """So many drifts over h were done by other means, for nobody met anybody."""
+        """Take note of drifts over h that were done elsewhere, because no particle met another one or a wall."""
         self.signs.look_at_speeds(h, drifts)
         self.near.pass_by(h, drifts)
 
     def exactly(self, h: float, moment: float, rates: Rates, stop: bool = False) -> Array:
-        """A drift that the operator `event` does, with what it returns. Collective."""
+        """Let the operator `event` do a drift; returns what it returns. Collective."""
         self.near.end_candidates()
         exact = self.exact()
         counts = exact.drift(h, moment, rates, stop)
@@ -110,7 +110,7 @@ class Rewind:
         return counts
 
     def renew(self, rates: Rates) -> None:
-        """What depends on the rows that are here since the last search, and on the step."""
+        """Renew the arrays that depend on the rows of the last search, and on the step."""
         near = self.near
         n, d, owned = len(near.x), len(near.axes), near.spheres.owned
         if self.searches != near.searches:
@@ -161,7 +161,7 @@ class Rewind:
         return counts, float(needed)
 
     def find(self, h: float, everything: bool) -> Hits:
-        """The hits on the present segments: all of them, or those of active rows."""
+        """Return the hits on the present segments: of all rows, or of active rows only."""
         near, active = self.near, self.near.active.flag
         first, second, time = hits = tuple(near.candidates.hits)
         pairs, drift = tuple(near.candidates.pairs), (near.candidates.time, h)
@@ -172,10 +172,10 @@ class Rewind:
         return Hits(first[:found], second[:found], time[:found])
 
     def one_pass(self, hits: Hits, h: float, counts: Array, concerned: int) -> float:
-        """Select by the total order, tell the other ranks, apply the selected contacts, find who is in the way now.
+        """Select contacts by the total order, tell other ranks, apply the selected ones, and find new candidates.
 
-        `concerned`: what the hits of any rank are about (`who_is_concerned`), and so what there is to tell.
-        Returns 0, or how far a row needs candidates to reach.
+        `concerned`: which rows the hits of any rank are about (`who_is_concerned`), and so what ranks must exchange. Returns 0,
+        or how far a row needs candidates to reach.
         """
         near, selected = self.near, self.selection.partner
         with self.timers("collide"):
@@ -196,10 +196,10 @@ class Rewind:
             return near.follow(h)
 
     def finish(self, hits: Hits, h: float, counts: Array, concerned: int) -> float:
-        """After the last pass particles still may not leave through walls: they meet those, and nobody else.
+        """Carry out wall contacts after the last pass, without contacts of pairs: particles may never leave through walls.
 
-        Counts the pairs that are left then, and who has no room between walls, as missed. Returns 0, or how far a row needs
-        candidates to reach.
+        The pairs that are left, and the particles that have no room between walls, are counted as missed. Returns 0, or how far a
+        row needs candidates to reach.
         """
         near = self.near
         with self.timers("collide"):
@@ -216,7 +216,7 @@ class Rewind:
         return needed
 
     def last_contacts(self) -> LastContacts:
-        """Those of owned rows in this drift."""
+        """Return the last contacts of owned rows in this drift."""
         near, rows = self.near, self.log.rows[: self.log.number[0]].astype(np.int64)
         radius, w, ids, _ = near.spheres
         fixed = np.flatnonzero(w == 0.0)
@@ -224,7 +224,7 @@ class Rewind:
         return LastContacts(rows, near.segments.last_partner[rows], near.segments.start[rows], known)
 
     def undo(self) -> None:
-        """Owned rows go back to where they were before their contacts in this drift."""
+        """Set owned rows back to where they were before their contacts in this drift."""
         near, log = self.near, self.log
         count = log.number[0]
         rows = log.rows[:count]
@@ -235,6 +235,6 @@ class Rewind:
         self.forget_contacts()
 
     def forget_contacts(self) -> None:
-        """All segments begin at time 0, and no one has met anyone."""
+        """Set all segments to begin at time 0, without a last partner."""
         self.near.forget_segments(self.log.rows[: self.log.number[0]])
         self.log.number[0] = 0

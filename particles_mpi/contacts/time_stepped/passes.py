@@ -18,14 +18,14 @@ TIME, LOW, HIGH = 0, 1, 2  # columns of `Selection.order`
 
 
 class Selection(NamedTuple):
-    """Of each row its earliest contact in this pass."""
+    """The earliest contact of each row in this pass."""
 
     partner: Array  # (n,) int64: the id of its partner, a wall as -1 - wall, or NOBODY
     order: Array  # (owned, 3), of rows with a partner: TIME of the contact, LOW id, HIGH id or wall
 
 
 class UndoLog(NamedTuple):
-    """Where owned rows were at the beginning of the drift, of those that have had a contact since."""
+    """The state at the beginning of the drift of owned rows that have had a contact since."""
 
     rows: Array  # (owned,) int32, of which the first number[0] are filled
     x: Array  # (owned, d)
@@ -47,10 +47,10 @@ def comes_first(row, t, wall, low, high, selection):
 
 @lean
 def select_contacts(spheres, hits, selection):
-    """For every owned row with a hit the partner of its earliest one, in place on `selection`.
+    """Select the partner of the earliest hit of every owned row that has one, in place on `selection`.
 
-    Fixed rows, whose inverse mass is 0, select nobody: a contact changes nothing of theirs, so that they may have any number of
-    them in a pass, as walls may.
+    Fixed rows, whose inverse mass is 0, select none: a contact does not change them, so that they may have any number of contacts
+    in a pass, as walls may.
     """
     _, w, ids, owned = spheres
     a, b, time = hits
@@ -144,7 +144,7 @@ def is_late(t, r, one, other):
 
 @in_place
 def deactivate(is_active, active_rows, active_number):
-    """No row is active."""
+    """Make all rows inactive."""
     for p in range(active_number[0]):
         is_active[active_rows[p]] = False
     active_number[0] = 0
@@ -180,7 +180,7 @@ def note_start(segments, spin, i, owned, log):
 
 @lean
 def finish_walls(axes, segments, spheres, hits, h, rules, active, log):
-    """Take the rows of the wall hits through all their wall contacts until h, blind to other particles.
+    """Take the rows of the wall hits through all their wall contacts until h, whatever other particles are in the way.
 
     Returns how many contacts there were, and how many of these rows got nowhere. `rules`, `active`, `log`: as in
     `apply_contacts`. All rows with a hit are active then.

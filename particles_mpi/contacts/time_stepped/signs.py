@@ -1,4 +1,4 @@
-"""Signs that a step is too long for the passes of mode `rewind`: its drift is done exactly, or a run tells of it at its end."""
+"""Signs that a step is too long for the passes of mode `rewind`: the drift is done exactly, or a remark follows at the end."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -19,9 +19,9 @@ SPEEDS_EVERY = 10  # drifts between two looks at the speeds, until one is too fa
 
 
 class Signs:
-    """Looks for overlaps in a drift, and counts, on this rank, what may go wrong without being missed.
+    """Looks for overlaps in a drift, and counts, on this rank, what goes wrong without being counted as missed.
 
-    Counted are late contacts, steps with more contacts than the passes put in order, and spheres too fast for the step.
+    Counted are late contacts, steps with more contacts than the passes put in order, and spheres that are too fast for the step.
     """
 
     def __init__(self, near: Neighbourhood):
@@ -30,8 +30,9 @@ class Signs:
         self.collisions, self.late_collisions = 0, 0
 
     def look_at_speeds(self, h: float, drifts: int = 1) -> None:
-        """Does a sphere cross more than its diameter in a drift over h, of which there are so many? A start is refused, but
-        forces make spheres faster."""
+        """Does a sphere cross more than its diameter in a drift over h? `drifts`: how many there were. A start with such a sphere
+        is refused, but forces make spheres faster.
+        """
         self.drifts += drifts
         if self.too_fast or self.drifts % SPEEDS_EVERY >= drifts:
             return
@@ -41,15 +42,15 @@ class Signs:
             self.too_fast |= bool((far & (p.radius > 0.0)).any())
 
     def late(self, hits: Hits) -> bool:
-        """Do partners meet that already overlap? A pass may do a contact of one pair before an earlier one of another pair."""
+        """Do spheres meet that already overlap? A pass may do a contact of one pair before an earlier one of another pair."""
         near, pairs = self.near, hits.second >= 0
         first, second, time = (column[pairs] for column in hits)
         return float(deepest_overlap(near.rows[0], near.spheres.radius, first, second, time, near.length)) > NOTICEABLE
 
     def overlapping(self, h: float) -> bool:
-        """Does a supported particle overlap with another in the end, because a pass was late? Collective.
+        """Does a supported particle overlap another one at the end, because a contact came late? Collective.
 
-        In a pile that would add up; others soon move apart.
+        In a pile such overlaps would add up; elsewhere spheres soon move apart.
         """
         if "supported" not in self.near.particles.arrays:
             return False
@@ -62,7 +63,7 @@ class Signs:
         return near.ranks.largest(most)[0] > DEEP
 
     def count(self, collisions: int, late: int = 0) -> None:
-        """Add those of a drift."""
+        """Add the counts of one drift."""
         self.collisions += collisions
         self.late_collisions += late
 
