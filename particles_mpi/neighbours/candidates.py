@@ -42,15 +42,15 @@ class Pairs(NamedTuple):
 
 
 def room_for(capacity: int) -> Pairs:
-    """Of so many pairs."""
+    """Return arrays with room for so many pairs."""
     return Pairs(*np.empty((2, capacity), np.int32), *np.empty((2, capacity), np.float32))
 
 
 class Candidates:
     """`pairs` are the candidate pairs, `near_wall` the rows near walls, `hits` room for contacts of both.
 
-    x, v (n, d) may change in place: `leaving` finds rows that forces bend away from their paths, and `follow` gives new ones to
-    those and to rows that contacts turned. The first `expected` pairs have room from the start.
+    x, v (n, d) may change in place. `leaving` finds rows that forces bend away from their paths; `follow` gives new paths to
+    these and to rows that contacts turned. There is room for `expected` pairs from the start.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Candidates:
         return self.wall_rows[: self.wall_count]
 
     def reserve(self, capacity: int) -> None:
-        """Room for pairs."""
+        """Make room for so many pairs."""
         room = room_for(capacity)
         for column, old in zip(room, self.pairs, strict=True):
             column[: self.pair_count] = old
@@ -94,7 +94,7 @@ class Candidates:
         self.hits = Hits(np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size))
 
     def search(self) -> None:
-        """All candidates, from cells made anew."""
+        """Find all candidates, with new cells."""
         n, radius = len(self.x), self.spheres.radius
         path = aligned(n, whole_lines(2 * len(self.axes) + 2))
         midpoint, bounding_radius, mean, box, own_box = start_paths(
@@ -125,18 +125,18 @@ class Candidates:
         self.follow(np.arange(n, dtype=np.int32), ALL, Segments(self.x, self.v, np.empty(0), np.empty(0, np.int64)), 0.0)
 
     def leaving(self, h: float) -> Array:
-        """Rows that a drift over h from now takes away from their paths."""
+        """Return the rows that a drift over h from now takes away from their paths."""
         found = rows_leaving(
             self.axes, self.x, self.v, self.paths.path, self.time, h, self.horizon.tolerance, self.length, self.chosen
         )
         return self.chosen[:found]
 
     def follow(self, rows: Array, why: int, segments: Segments, h: float) -> float:
-        """New paths and candidates for `rows` that are LEAVING their paths or were TURNED, on their segments in the drift over h.
+        """Make new paths and candidates for `rows` that are LEAVING their paths or were TURNED, on their segments in the drift
+        over h.
 
-        Of rows that were turned only those which leave their paths get new ones. Returns 0, or how far a row gets in this drift
-        if bound or region forbid it: then nothing was replaced, and all must be searched anew. See `replace_candidates`; here
-        is room for as many pairs as it finds.
+        Of rows that were turned only those that leave their paths get new ones. Returns 0, or, if bound or region forbid it, how
+        far a row gets in this drift: then nothing was replaced, and everything must be searched again. See `replace_candidates`.
         """
         done, needed, count = -1, 0.0, 0
         while len(rows):

@@ -41,7 +41,7 @@ class LinkedCells(NamedTuple):
 
 
 def grid(x: Array, box: tuple[Array, Array], side: float, fine: int) -> Grid:
-    """Cells of about `side`, and side/fine along the last axis, over the rows of x (n, d) in `box`; at most about n sides."""
+    """Return cells of about `side`, and side/fine on the last axis, for the rows of x (n, d) in `box`: at most about n sides."""
     g = min(x.shape[1], GRIDDED)
     first = GRIDDED - g
     origin, per, cells = np.zeros(GRIDDED), np.zeros(GRIDDED), np.ones(GRIDDED, np.int64)
@@ -74,7 +74,7 @@ def spacing(low: Array, high: Array, n: int) -> float:
 
 
 def too_narrow(length: Array, distance: float) -> StateError:
-    """The error where spheres may touch at this distance of their centres, and a periodic box is not twice as wide."""
+    """Return the error about spheres that may touch at this distance of their centres, in a periodic box not twice as wide."""
     return StateError(
         f"particles.radius: a step needs a periodic box more than twice as wide as spheres are apart that touch; it is"
         f" {length[length > 0.0].min():g} wide, and they are {distance:g} apart"
@@ -136,10 +136,10 @@ def sort_rows(x, level, wanted, grid):
 
 
 def order_in_space(x: Array, box: tuple[Array, Array]) -> Array:
-    """Rows of x (n, d) in `box`, those that are near in space near one another; n > 0.
+    """Return rows of x (n, d) in `box` in an order in which those near in space are near one another; n > 0.
 
-    By cells; where there are many on the second axis by slabs of them, so that a row and its neighbours on the first axis are
-    not further apart in memory than the caches reach.
+    The order is by cells. Where there are many on the second axis it is by slabs of them, so that a row and its neighbours on the
+    first axis are not further apart in memory than the caches reach.
     """
     cells = grid(x, box, spacing(*box, len(x)), 1)
     order, _ = sort_rows(x, np.zeros(len(x), np.int8), 0, cells)

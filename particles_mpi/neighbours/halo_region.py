@@ -1,10 +1,10 @@
 """How far ranks must look into one another's space, and where their particles may go until the next search.
 
-Each rank has a box around all that its own rows may cover. Until the horizon its rows stay within `slack` of it, whatever turns
-them, and rows that it does not hold stay out of there: so no row can meet one that its rank does not know. It gets as ghosts all
-rows whose paths come within `clearance` of this space; those further away would have to be turned to get there. A row that would
-break this brings the horizon nearer (`trajectories.renew_paths`). The boxes are those of straight paths, and the fastest row near
-a border stretches them: so a turned one rarely leaves the box of its rank, and the slack can be smaller than the clearance.
+Each rank has a box around everything that the straight paths of its rows may cover. Until the horizon its rows stay within
+`slack` of this box, whatever turns them, and rows that it does not hold stay outside: so no row can meet one that its rank does
+not know. A rank gets as ghosts all rows whose paths come within `clearance` of this space; rows further away would have to be
+turned to get there. A row that would break this rule brings the horizon nearer (`trajectories.renew_paths`). The fastest row near
+a border stretches the box, so a row that was turned rarely leaves it, and the slack can be smaller than the clearance.
 """
 
 from typing import NamedTuple
@@ -19,9 +19,9 @@ from particles_mpi.particles import Array
 
 
 class Margins(NamedTuple):
-    """Of the boxes of ranks until the horizon.
+    """Margins around the boxes of ranks, until the horizon.
 
-    slack: how far rows may get out of their rank's box; clearance: how near to that space rows come that the rank does not hold.
+    slack: how far rows may get out of their rank's box; clearance: how near to that space rows come which the rank does not hold.
     """
 
     slack: float
@@ -32,10 +32,10 @@ AT_THE_BORDER = Margins(0.0, 0.0)
 
 
 class HaloRegion(NamedTuple):
-    """Where rows may go without meeting anyone that their rank does not know.
+    """Where rows may go without meeting one that their rank does not know.
 
-    own (2, d): the rank's box with its slack, which owned rows stay in. others (m, 2, d): those of the ranks that are within the
-    clearance; rank p of them holds our rows known[sent[p] : sent[p + 1]], ascending, as ghosts, and no other enters there.
+    own (2, d): the rank's box with its slack, in which owned rows stay. others (m, 2, d): those of the ranks that are within the
+    clearance; rank p of them holds our rows known[sent[p] : sent[p + 1]], ascending, as ghosts, and no other one enters there.
     """
 
     own: Array

@@ -1,6 +1,6 @@
-"""Do the paths of two rows come near each other before the horizon, and when? Rows listed as partners wait for this test.
+"""Tests whether the paths of two rows come near each other before the horizon, and when. Rows listed as partners wait for it.
 
-See `trajectories` for paths, `pair_search` for how partners are listed.
+`trajectories` explains paths, `pair_search` how partners are listed.
 """
 
 from math import inf, sqrt
@@ -63,7 +63,7 @@ def time_near(ru, u2, r2, cut2, start, window):
 
 
 class Waiting(NamedTuple):
-    """Rows that wait for the test of their paths, for each row that asks: until then their paths have come to the cache."""
+    """Rows that wait for the test of their paths, which are prefetched, for each row that looks for partners."""
 
     around: Array  # (n + WAITING,) int32: the rows
     asking: Array  # (WAITING,) int32: the row that asks, for one part of `around` after the other
@@ -73,9 +73,9 @@ class Waiting(NamedTuple):
 
 @inner(error_model="numpy")
 def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
-    """Add the pairs to keep, of the first `parts` parts of those `waiting`, to the first `found`; returns how many are then.
+    """Test the first `parts` parts of those `waiting`; add pairs to keep behind the first `found`, and return how many there are.
 
-    Pairs beyond the room for them are counted only. waiting: a `Waiting`.
+    Pairs for which there is no room are only counted. waiting: a `Waiting`.
     """
     around, asking, until, place = waiting.around, waiting.asking, waiting.until, waiting.place
     paths, _, spheres, _, _, length, marked, _, _ = holding
@@ -104,10 +104,10 @@ def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
 
 @inner
 def wanted(i, j, marked, bounding_radius, owned, ids, w):
-    """Is the pair of rows i and j to be kept, where row i asks for partners?
+    """Is the pair of rows i and j to be kept, if row i looks for partners?
 
-    One must be owned, and one movable. If j asks too (`marked`), the pair is kept from the row with the larger bounding radius,
-    of equal ones from that with the larger id.
+    One must be owned, and one movable. If j looks for partners too (it is `marked`), the pair is kept from the row with the
+    larger bounding radius, or, if they are equal, from that with the larger id.
     """
     if i == j or not (i < owned or j < owned) or (w[i] == 0.0 and w[j] == 0.0):
         return False

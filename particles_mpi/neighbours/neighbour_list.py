@@ -34,12 +34,12 @@ TOO_MANY = 0.1  # of the rows left their paths at once: a search of all is cheap
 
 
 class Neighbourhood:
-    """Ghosts and candidates of this rank: `prepare` renews them where a drift needs it, `follow` after contacts.
+    """Ghosts and candidates of this rank: `prepare` renews them before a drift where needed, `follow` after contacts.
 
     `segments`, `spheres` and the arrays of `fields` hold the owned rows, then ghosts; x, v are those of `segments`, and `rows`
     are both as plain tuples, for kernels. `spin`, `inverse_inertia`: no row where spheres are smooth. `active`: rows whose
     contacts are sought in the next pass. `candidates`: the pairs among all these that can touch. `planes`: as a plain tuple.
-    `kicked`: do forces or dissipation change velocities? If not, ghosts fly on by themselves, and only contacts need a message.
+    `kicked`: do forces or dissipation change velocities? If not, ghosts follow their paths, and only contacts need a message.
     """
 
     divided = True  # each rank computes its part of space
@@ -63,7 +63,7 @@ class Neighbourhood:
         self.work = 0.0  # of the last search, in the tuner's units
 
     def prepare(self, h: float) -> None:
-        """Before a drift over h: candidates for wherever it will take any particle. Collective."""
+        """Make sure, before a drift over h, that candidates hold for all positions to which it takes particles. Collective."""
         particles = self.particles
         with self.timers("pairs"):
             known = self.version == particles.version and particles.position is self.position
@@ -76,9 +76,9 @@ class Neighbourhood:
             self.search(h, needed if np.isfinite(needed) else 0.0)
 
     def follow_kicks(self, h: float) -> float:
-        """Where forces change velocities: fresh ghosts, and candidates for the rows that are bent away from their paths.
+        """After forces have changed velocities: refresh ghosts, and find candidates for rows that are bent away from their paths.
 
-        Returns 0, or how far a row gets if that is further than the candidates may reach; inf for a search of all.
+        Returns 0, or how far a row gets if that is further than the candidates may reach; inf if all must be searched.
         """
         if self.halo:
             with self.timers("ghosts"):
@@ -93,9 +93,9 @@ class Neighbourhood:
             return self.candidates.follow(leaving, LEAVING, self.segments, h)
 
     def search(self, h: float, at_least: float) -> None:
-        """Migrate, fetch ghosts, find candidates to last some steps of h. Collective.
+        """Send rows to their owners, fetch ghosts, and find candidates that hold for some steps of h. Collective.
 
-        `at_least`: how far a row got, that broke the candidates there are: 0 if none did.
+        `at_least`: how far a row got that made the present candidates invalid, 0 if none did.
         """
         particles = self.particles
         known = self.version != -1
@@ -120,7 +120,7 @@ class Neighbourhood:
         self.searches += 1
 
     def forget_candidates(self) -> None:
-        """Give back the memory of the last search before the next one takes its own."""
+        """Free the memory of the last search before the next one takes its own."""
         if self.searches:
             self.work = self.tuner.work(len(self.x), self.candidates.tests, self.candidates.asked)
             del self.candidates, self.segments, self.active, self.rows, self.spheres, self.fields, self.x, self.v
@@ -130,10 +130,10 @@ class Neighbourhood:
     def horizon(
         self, h: float, at_least: float, way: float, shortest: bool, extent: tuple[Array, Array]
     ) -> tuple[Horizon, Margins]:
-        """Those of the next candidates, the same on all ranks; `extent`: bounds of this rank's particles.
+        """Return horizon and margins of the next candidates, the same on all ranks; `extent`: bounds of this rank's particles.
 
-        `at_least`: see `search`; `way`: the same without the tolerance of the candidates. In a periodic box too narrow for it,
-        candidates for this drift alone may do, from where the rows are now; unless the last ones were those (`shortest`).
+        `at_least`: see `search`; `way`: the same without the tolerance of the candidates. If a periodic box is too narrow for it,
+        candidates may be for this drift alone, from the present positions, unless the last ones already were (`shortest`).
         """
         particles = self.particles
         d, x, n = particles.dimension, particles.position, len(particles)
@@ -176,7 +176,7 @@ class Neighbourhood:
         return Horizon(steps * h * (1.0 + 1e-9), tolerance, bound), margins
 
     def fetch_ghosts(self, horizon: Horizon, margins: Margins) -> HaloRegion:
-        """Copies of all particles that may meet this rank's, behind the owned rows. Collective."""
+        """Fetch copies of all particles that may meet this rank's, and put them behind the owned rows. Collective."""
         particles = self.particles
         ranks, d, owned = self.ranks, particles.dimension, len(particles)
         everyone = {name: column for name, column in particles.arrays.items() if field(name).ghost}
@@ -205,7 +205,7 @@ class Neighbourhood:
         return int(who_is_concerned(self.shared, self.spheres.owned, hits.first, hits.second)) if self.halo else OWN_ONLY
 
     def follow(self, h: float) -> float:
-        """After a pass in the drift over h: candidates for the segments of the active rows.
+        """Find, after a pass in the drift over h, candidates for the segments of the active rows.
 
         Returns 0, or how far a row gets if that is further than the candidates may reach.
         """
@@ -213,7 +213,7 @@ class Neighbourhood:
         return self.candidates.follow(rows, TURNED, self.segments, h)
 
     def forget_segments(self, changed: Array) -> None:
-        """All segments begin at time 0, no row is active, and no one has met anyone; `changed`: the owned rows that had."""
+        """Set all segments to begin at time 0, without a last partner, and no row active; `changed`: owned rows with contacts."""
         self.active.flag[self.active.rows[: self.active.number[0]]] = False
         self.active.number[0] = 0
         for rows in (changed, slice(self.spheres.owned, None)):
@@ -221,7 +221,7 @@ class Neighbourhood:
             self.segments.last_partner[rows] = NOBODY
 
     def advance(self, h: float) -> None:
-        """From the starts of the last segments to the end of the drift over h, and back into a periodic box."""
+        """Move all rows from the starts of their last segments to the end of the drift over h, and into a periodic box."""
         end_segments(self.axes, self.x, self.v, self.segments.start, h)
         if self.length.any():
             wrap(self.x, *self.box)
@@ -230,7 +230,7 @@ class Neighbourhood:
         self.pair_tests += self.candidates.pair_count
 
     def pass_by(self, h: float, drifts: int) -> None:
-        """So many drifts over h were done by other means, in which nobody met anybody: candidates, but no ghosts, still hold."""
+        """Take note of drifts over h that were done elsewhere without any contact: candidates still hold, but ghosts do not."""
         if self.halo:
             self.end_candidates()
         elif self.version != -1:
@@ -238,7 +238,7 @@ class Neighbourhood:
             self.tuner.lasted += drifts
 
     def end_candidates(self) -> None:
-        """This drift is done by other means: the candidates, if there are any, served for one step, and end with it."""
+        """End the candidates, if there are any: they serve this one more step, which is done by other means."""
         if self.version != -1:
             self.tuner.step(self.candidates.pair_count)
         self.version = -1  # ghosts are not what their owners have: search before the next drift

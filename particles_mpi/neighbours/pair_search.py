@@ -1,4 +1,4 @@
-"""Which pairs can meet: rows whose paths may come near are listed as partners by cells, and `near_paths` tests their paths.
+"""The search for pairs that can meet: cells list partners whose paths may come near, and `near_paths` tests these paths.
 
 Python calls `replace_candidates`, for all rows, or for the few that left their paths.
 """
@@ -20,7 +20,7 @@ ALL, LEAVING, TURNED = 0, 1, 2  # why candidates are replaced
 
 @inner
 def drop_pairs(rows, marked, pairs, count):
-    """Forget those of `rows` among the first `count` of `pairs`; marks the rows, returns how many pairs stay."""
+    """Remove the pairs of `rows` from the first `count` of `pairs`. Marks these rows; returns how many pairs stay."""
     first, second, begin, end = pairs
     for i in rows:
         marked[i] = True
@@ -38,7 +38,7 @@ def drop_pairs(rows, marked, pairs, count):
 
 @inner
 def shifts(low, high, lowest, highest, length, by):
-    """Periodic images of [low, high] on one axis that meet [lowest, highest]: their shifts into `by`, returns how many."""
+    """Write to `by` the shifts of periodic images of [low, high], on one axis, that meet [lowest, highest]; returns how many."""
     count = 0
     for image in range(3 if length > 0.0 else 1):
         shift = 0.0 if image == 0 else (length if image == 1 else -length)
@@ -50,7 +50,7 @@ def shifts(low, high, lowest, highest, length, by):
 
 @in_place
 def bring_near(d, path, i, other, length, place, part):
-    """To place[part]: where row i is, in the image that is nearest to the row `other`."""
+    """Write to place[part] the position of row i in the image that is nearest to the row `other`."""
     for k in range(d):
         place[part, k] = path[i, k]
     for k in range(min(d, 3)):

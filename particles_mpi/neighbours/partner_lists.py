@@ -1,4 +1,4 @@
-"""Which rows are in cells near a path: listed as partners that `pair_search` tests. See `search_index` for these cells."""
+"""Lists the rows in cells near a path, as partners that `pair_search` tests. `search_index` describes these cells."""
 
 import numpy as np
 
@@ -20,14 +20,14 @@ def cover(d, middle, extent, margin, origin, per, cells, low, high):
 
 @inner
 def list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed, path):
-    """Rows in the sorted cells in the ranges low..high that may be partners of a sphere, behind the first `listed` of `around`.
+    """List the rows in the sorted cells in the ranges low..high that may be partners of a sphere, behind the first `listed` of
+    `around`.
 
     Returns (how many are listed then, tests).
 
     sphere: middle (g,), radius and largest radius of a partner, float32 in the units of `SortedCells.entry`, and its own row.
-    firsts: scratch, (8,).
-    Runs are short: PLACES_AT_ONCE places are tested whatever their length, and the bits of as many runs are read together, so
-    that the processor need not guess where each ends.
+    firsts: scratch, (8,). Runs are short. PLACES_AT_ONCE places are tested whatever the length of a run, and the bits of as many
+    runs are read together, so that the processor need not guess where each ends.
     """
     middle, own, limit, i = sphere
     order, start, _, entry, _, _ = sorted_
@@ -58,9 +58,9 @@ def list_sorted(axes, low, high, sphere, cells, sorted_, firsts, around, listed,
 
 @inner
 def list_bits(bits, firsts, order, i, around, listed, path):
-    """The rows whose bits are set, PLACES_AT_ONCE from each of the places `firsts` on; behind the first `listed` of `around`.
+    """List the rows whose bits are set, PLACES_AT_ONCE from each of the places `firsts` on, behind the first `listed`.
 
-    Their paths are asked for, to be in the cache when they are tested.
+    Their paths are prefetched, to be in the cache when they are tested.
     """
     while bits != 0:
         bit = trailing_zeros(bits)
@@ -74,9 +74,9 @@ def list_bits(bits, firsts, order, i, around, listed, path):
 
 @lean_inner
 def fetch_cells(sorted_, linked, ranges):
-    """Ask for what is in the sorted and the linked cells in these ranges, all at once: where each cell is, then what is there.
+    """Prefetch what is in the sorted and the linked cells in these ranges: first where each cell is, then its rows.
 
-    For a row that asks alone: its surroundings are in no cache, and the tests would wait for one cell after the other.
+    For a row that looks for partners alone: its surroundings are in no cache, and tests would wait for one cell after the other.
     """
     order, start, _, entry, _, (_, _, cells) = sorted_
     head, _, _, _, (_, _, linked_cells) = linked
@@ -97,7 +97,7 @@ def fetch_cells(sorted_, linked, ranges):
 
 @inner
 def list_linked(low, high, cells, head, after, around, listed):
-    """Rows in the linked lists of the cells in the ranges low..high; behind the first `listed` of `around`."""
+    """List the rows in the linked lists of the cells in the ranges low..high, behind the first `listed` of `around`."""
     for c0 in range(low[0], high[0] + 1):
         for c1 in range(low[1], high[1] + 1):
             for c2 in range(low[2], high[2] + 1):
@@ -111,7 +111,7 @@ def list_linked(low, high, cells, head, after, around, listed):
 
 @in_place
 def list_near(axes, at, reaches, i, ranges, index, paths, firsts, around, listed):
-    """The rows in cells near the path of row i, or of an image of it, behind the first `listed` of `around`.
+    """List the rows in cells near the path of row i, or of an image of it, behind the first `listed` of `around`.
 
     Returns (how many are listed then, tests). `at`: the middle (d,) of the path and its extent (g,), and scratch; `reaches`: see
     `find_partners`; `ranges`: scratch, (3,) each, for the sorted and the linked cells.

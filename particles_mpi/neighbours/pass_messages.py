@@ -1,4 +1,4 @@
-"""What ranks tell one another of the particles that others hold as ghosts: selected partners in a pass, new segments.
+"""Messages about the particles that other ranks hold as ghosts: selected partners in a pass, and new segments.
 
 After a pass a message holds only the rows to which something happened. `Halo.exchange` sends what `pack_...` wrote into a buffer
 of numbers, and `unpack_...` reads it; `words` is such a buffer seen as int64.
@@ -34,7 +34,7 @@ def message_width(dimension: int) -> int:
 
 
 def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_rows: Array, marked: Array) -> None:
-    """The selected partners of owned rows with hits, to all who hold them as ghosts.
+    """Send the selected partners of owned rows with hits to all ranks that hold these rows as ghosts.
 
     `marked` (n,) bool: scratch, False before and afterwards.
     """
@@ -47,9 +47,9 @@ def exchange_selections(halo: Halo, selected: Array, first_rows: Array, second_r
 
 
 def exchange_segments(halo: Halo, active: Active, segments: Segments, spin: Array) -> None:
-    """New segments of active owned rows, and spins (n, width) if there are any, to all who hold them as ghosts.
+    """Send new segments of active owned rows, and spins (n, width) if there are any, to all ranks that hold them as ghosts.
 
-    They are active there too if the segment is new.
+    A ghost becomes active if its segment is new.
     """
     own = active.rows[: active.number[0]]  # at this moment
     all_ = tuple(segments)
@@ -63,7 +63,9 @@ def exchange_segments(halo: Halo, active: Active, segments: Segments, spin: Arra
 
 @kernel
 def who_is_concerned(shared, owned, first, second):
-    """By hits of rows (first, second): OWN_ONLY; SHARED_ROWS, if `shared` marks one of these; ACROSS, if one is a ghost."""
+    """Return ACROSS if one of the hits of rows (first, second) is with a ghost, SHARED_ROWS if `shared` marks a row, else
+    OWN_ONLY.
+    """
     concerned = OWN_ONLY
     for p in range(len(first)):
         i = first[p]
@@ -77,7 +79,8 @@ def who_is_concerned(shared, owned, first, second):
 
 @kernel
 def pack_selections(rows, selected, first_rows, second_rows, owned, marked, words):
-    """To `words`, of each owned row of the hits that is among `rows` and selected somebody: its place there, and the partner.
+    """Write to `words`, for each owned row of the hits that is among `rows` and selected a partner, its place there and the
+    partner.
 
     rows: those that the receiver holds, ascending. Returns how many words there are.
     """
@@ -97,7 +100,7 @@ def pack_selections(rows, selected, first_rows, second_rows, owned, marked, word
 
 @kernel
 def unpack_selections(first, words, selected):
-    """What pack_selections wrote."""
+    """Read what pack_selections wrote."""
     for m in range(0, len(words), 2):
         selected[first + words[m]] = words[m + 1]
 
@@ -125,9 +128,9 @@ def pack_segments(rows, active_rows, segments, spin, out, words):
 
 @kernel
 def unpack_segments(first, message, words, active, segments, spin):
-    """What pack_segments wrote; rows whose segment is new become active.
+    """Read what pack_segments wrote; rows whose segment is new become active.
 
-    Two who overlap may meet again in no time, after one of them met another: then only the velocity tells the segments apart.
+    Two spheres that overlap may meet again in no time, after one of them met another: then only the velocity shows a new segment.
     """
     x, v, start, last_partner = segments
     flag, active_rows, number = active

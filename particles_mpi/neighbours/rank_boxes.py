@@ -1,4 +1,4 @@
-"""Boxes of ranks, and who gets into them: the geometry that `halo_region` and `trajectories.renew_paths` stand on.
+"""Boxes around the rows of ranks, and which rows come into them: the geometry for `halo_region` and `trajectories.renew_paths`.
 
 A box is (2, d), its lower and upper corner. Rows that start now are at x + v t; a row of `path` is as in `trajectories.Paths`.
 """
@@ -34,7 +34,7 @@ def swept_box(x, v, radius, horizon):
 
 @kernel
 def rows_near_box(x, v, radius, horizon, low, high, length):
-    """Rows, ascending, that may touch the box [low, high] or an image of it, judged axis by axis; all start now."""
+    """Return rows, ascending, that start now and may touch the box [low, high] or an image of it, judged axis by axis."""
     d = x.shape[1]
     rows = np.empty(len(x), np.int32)
     found = 0
@@ -73,7 +73,7 @@ def time_in_box(path, i, margin, low, high):
 
 @in_place
 def time_to_box(path, i, margin, low, high, length):
-    """When the path of row i comes within `margin` of the box [low, high] or an image of it, at the earliest; inf if never."""
+    """Return when the path of row i first comes within `margin` of the box [low, high] or an image of it; inf if never."""
     d = len(low)
     begin = 0.0
     finish = inf

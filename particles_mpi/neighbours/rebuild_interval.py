@@ -1,4 +1,4 @@
-"""How many steps the candidates of a search shall last: hill climbing on counted work, the same on every rank."""
+"""Chooses how many steps the candidates of a search hold: hill climbing on counted work, the same on every rank."""
 
 MOST_STEPS = 400
 STRIDE = 0.15  # of the steps, from one try to the next
@@ -8,7 +8,7 @@ SEARCH_COST, ROW_COST, ASKED_COST, PAIR_COST = 2e4, 50.0, 100.0, 1.0
 
 
 class RebuildTuner:
-    """`steps`: how many the next candidates shall last. More of them: fewer searches, of more candidates among more rows."""
+    """`steps`: for how many the next candidates hold. If that is more, there are fewer searches, but more candidates in each."""
 
     def __init__(self) -> None:
         self.steps = 0
@@ -19,16 +19,16 @@ class RebuildTuner:
         self.pair_steps = 0
 
     def step(self, pairs: int) -> None:
-        """One more step done with so many pairs."""
+        """Count one more step, with so many pairs."""
         self.lasted += 1
         self.pair_steps += pairs
 
     def work(self, rows: int, tests: int, asked: int) -> float:
-        """What the candidates have cost this rank since their search."""
+        """Return what the candidates have cost this rank since their search; `asked`: rows that looked for partners alone."""
         return SEARCH_COST + ROW_COST * rows + tests + ASKED_COST * asked + PAIR_COST * self.pair_steps
 
     def next(self, work: float, crossing: float) -> int:
-        """Steps that the next candidates shall last; `work` since the last search, of all ranks.
+        """Return for how many steps the next candidates hold; `work`: that of all ranks since the last search.
 
         `crossing`: steps in which the fastest row covers half of the mean distance of rows; the search for the best begins there.
         """

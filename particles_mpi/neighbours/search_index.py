@@ -1,9 +1,10 @@
-"""By what rows are found: cells of their midpoints, on three levels of bounding radius. See `trajectories` for both.
+"""The index by which rows are found: cells of their midpoints, on three levels of bounding radius, as `trajectories` defines
+both.
 
-Most rows need not look as far as the few fast ones get: SLOW ones are held in sorted cells, FAST ones in coarser cells of linked
-lists, and a few OVERSIZE ones one by one. A SLOW row whose path changes stays in its cell, RENEWED, if the new path lies within
-the largest bounding radius of SLOW ones from the midpoint of its first path; otherwise, and when it changes again, it becomes
-FAST.
+Most rows need not look as far as the few fast ones get. SLOW rows are in sorted cells, FAST ones in coarser cells of linked
+lists, and a few OVERSIZE ones in a list. A SLOW row whose path changes becomes RENEWED and stays in its cell, if the new path
+lies within the largest bounding radius of SLOW rows from the midpoint of its first path. Otherwise, and when its path changes
+again, it becomes FAST.
 """
 
 from math import inf, nan, sqrt
@@ -38,10 +39,10 @@ class SortedCells(NamedTuple):
 
 
 class SearchIndex(NamedTuple):
-    """By what `find_partners` finds rows: SLOW ones in `sorted`, FAST ones in `linked`, the first number[0] of `oversize`.
+    """What `find_partners` searches: SLOW rows in `sorted`, FAST ones in `linked`, the first number[0] of `oversize`.
 
-    largest (2,): the largest bounding radius of SLOW and of FAST rows; with a larger one than `limit` a row is OVERSIZE.
-    low, high (d,): bounds of all midpoints, and own_low, own_high of those of owned rows.
+    largest (2,): the largest bounding radius of SLOW and of FAST rows; with a larger one than `limit` a row is OVERSIZE. low,
+    high (d,): bounds of all midpoints, and own_low, own_high of those of owned rows.
     """
 
     sorted: SortedCells
@@ -57,7 +58,7 @@ class SearchIndex(NamedTuple):
 
 
 class Holding(NamedTuple):
-    """What the candidates of one search stand on; plain tuples, whose arrays change in place.
+    """All data of the candidates of one search; plain tuples, whose arrays change in place.
 
     paths: `Paths`; cells: `SearchIndex`; spheres: `Spheres`; planes: `Planes`; region: `HaloRegion`; length (d,) of the periodic
     axes; marked (n,) bool, around (n + WAITING,) int32: scratch; wall_rows (owned,): room for the rows near walls.
@@ -142,7 +143,7 @@ def fill_cells(paths, order, origin, scale, grid):
 
 @lean_inner
 def move_rows(rows, paths, owned, index):
-    """Rows with new paths change places, unless they are RENEWED: into the lists of the FAST rows, or to the OVERSIZE ones."""
+    """Move rows with new paths, unless they become RENEWED: into the lists of FAST rows, or to the OVERSIZE ones."""
     _, midpoint, bounding_radius, level, _ = paths
     sorted_, linked, oversize, number, largest, limit, low, high, own_low, own_high = index
     _, _, place, entry, scale, (origin, _, _) = sorted_

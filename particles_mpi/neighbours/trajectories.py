@@ -1,12 +1,12 @@
-"""Where particles will be for some steps: straight paths, which they follow give or take a tolerance.
+"""Where particles will be in the next steps: straight paths, which they follow within a tolerance.
 
-Every row has a *path*: a straight line x0 + v0 (t - t0) that it is expected to follow until the candidates end to be valid
-(`Horizon`). A pair can touch only if, at some moment until then, its paths come nearer than R_i + R_j + 2 tolerance: those are
-the candidates, and `pair_search` finds them. They hold for as long as rows stay within the tolerance of their paths. A row
-that does not (a contact turned it, a force bent its way) gets a new path, and partners are sought for that row alone.
+Every row has a *path*: a straight line x0 + v0 (t - t0) that it is expected to follow until the candidates are no longer valid
+(`Horizon`). A pair can touch only if, at some time until then, its paths come nearer than R_i + R_j + 2 tolerance: such pairs are
+the candidates, and `pair_search` finds them. They hold for as long as rows stay within the tolerance of their paths. A row that
+does not (a contact turned it, a force bent its path) gets a new path, and partners are sought for that row alone.
 
-A path is found in cells by its midpoint and by a radius around that: see `Paths`. Everything here may say that two can meet
-which do not; how often it does costs time, and never changes a result. Times count from the last search for all candidates.
+A path is found in cells by its midpoint and by a radius around that: see `Paths`. A test here may find that two rows can meet
+which do not: that costs time, and never changes a result. Times count from the last search for all candidates.
 """
 
 from math import inf, sqrt
@@ -22,10 +22,10 @@ from particles_mpi.particles import Array
 
 
 class Horizon(NamedTuple):
-    """What candidates are good for.
+    """How long, and within which distances, candidates are valid.
 
-    valid_until: the time until which they hold. tolerance: how far a row may be from its path. bound: how far it may get from
-    the midpoint of its first path, tolerance included.
+    valid_until: the time until which they hold. tolerance: how far a row may be from its path. bound: how far it may get from the
+    midpoint of its first path, tolerance included.
     """
 
     valid_until: float
@@ -38,7 +38,7 @@ ROWS_AHEAD = 16  # rows: a loop over rows that are scattered in memory fetches t
 
 
 class Spheres(NamedTuple):
-    """What does not change from step to step, of all rows: radius, inverse_mass = 1/m or 0 if fixed, id (n,).
+    """What does not change from step to step, for all rows: radius, inverse_mass = 1/m or 0 if fixed, id (n,).
 
     The first `owned` rows are those of this rank, and ghosts follow.
     """
@@ -115,7 +115,7 @@ def start_paths(axes, x, v, radius, horizon, owned, path):
 
 @kernel
 def rows_leaving(axes, x, v, path, time, h, tolerance, length, rows):
-    """Rows that a drift over h from `time` takes away from their paths; into `rows`, returns how many."""
+    """Write to `rows` those that a drift over h from `time` takes away from their paths; returns how many."""
     d = len(axes)
     found = 0
     for i in range(len(x)):
@@ -132,9 +132,9 @@ def rows_leaving(axes, x, v, path, time, h, tolerance, length, rows):
 
 @inner
 def rows_turned(x, v, start, path, rows, time, horizon, length):
-    """Those of `rows` whose present segment, begun at time + start_i, leaves the path before the horizon.
+    """Move those of `rows` to the front whose present segment, begun at time + start_i, leaves the path before the horizon.
 
-    To the front of `rows`; returns how many. Segment and path are straight: where they end decides.
+    Returns how many. Segment and path are straight, so it is enough to compare where they end.
     """
     d = x.shape[1]
     until, tolerance, _ = horizon
@@ -218,9 +218,10 @@ def renew_paths(rows, segments, owned, paths, region, horizon, length, time, h):
 
 @inner
 def find_near_walls(rows, path, horizon, owned, planes, marked, near, count):
-    """Owned ones of `rows` that may touch a wall before the horizon; behind the first `count` of `near` that are not marked.
+    """Write those of `rows` that are owned, may touch a wall before the horizon and are not marked behind the first `count` of
+    `near`.
 
-    planes: `Planes` as a plain tuple. Returns the number then.
+    planes: `Planes` as a plain tuple. Returns how many there are then.
     """
     point, normal, _, _, lower, upper, oblique = planes
     d = normal.shape[1]

@@ -1,8 +1,8 @@
 """Neighbour lists for particles that move one at a time: Verlet lists with a skin, updated for each particle by itself.
 
-Each particle has a reference position and stays within `skin` of it; when it gets that far, it is given a new reference
-position and a new list. Two particles that can touch are in each other's list: their reference positions, which are unwrapped
-coordinates, are no further apart than R_i + R_j + skin_i + skin_j. They are found in cells: see `verlet_cells`.
+Each particle has a reference position and stays within `skin` of it. When it has moved that far, it gets a new reference position
+and a new list. Two particles that can touch are in each other's list: their reference positions, in unwrapped coordinates, are no
+further apart than R_i + R_j + skin_i + skin_j. Cells find them: see `verlet_cells`.
 """
 
 from typing import Any, NamedTuple
@@ -83,9 +83,9 @@ def find_nearby(axes, lists, i):
 
 @in_place
 def compare(lists, i, found):
-    """(kept, new): which of the `found` nearby rows are in the list of i, and which are not.
+    """Return (kept, new): how many of the `found` nearby rows are in the list of i, and how many are not.
 
-    The first `kept` places of the list hold those that stay, the others those that go; the first `new` of `nearby` are to come.
+    The first `kept` places of the list then hold those that stay, the others those that go; the first `new` of `nearby` are new.
     """
     spans, pool, nearby = lists.spans, lists.pool, lists.nearby
     begin = np.int64(spans[i, BEGIN])

@@ -32,7 +32,7 @@ ACCEPTED = 1.3  # times more or fewer neighbours than wanted are accepted
 
 
 class VerletLists:
-    """Lists of all rows, in `arrays` for the kernels; `tune` or `build` make them.
+    """The lists of all rows, in `arrays` for the kernels; `tune` or `build` makes them.
 
     `width`: of the skins, 0 before the first `tune`.
     """
@@ -45,10 +45,10 @@ class VerletLists:
         self.share = 1.0  # all rows of the box, divided by those that are here
 
     def tune(self, x: Array, radius: Array, w: Array, distance: float, way: float) -> None:
-        """New lists for positions x (n, d), radii and inverse masses (n,), with skins as wide as serves the density found.
+        """Make new lists for positions x (n, d), radii and inverse masses (n,), with skins whose width suits the density.
 
-        `distance`: the longest contact distance there can be, over all ranks; a StateError if the box is too narrow for it.
-        `way`: the longest one of a particle in a step, the only length that a single point knows.
+        `distance`: the longest contact distance over all ranks. `way`: the longest distance of a particle in a step, which is the
+        only length that a single point has. Raises StateError if the box is too narrow for `distance`.
         """
         n, d = x.shape
         low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
@@ -93,7 +93,7 @@ class VerletLists:
         return widest
 
     def build(self, x: Array, radius: Array, w: Array, spare: int = 0) -> None:
-        """New lists with skins of the present width, and room for `spare` rows more. Arguments as in `tune`."""
+        """Make new lists with skins of the present width, and room for `spare` rows more. Arguments as in `tune`."""
         n, d = x.shape
         rows = n + spare
         places = rows * (BLOCK_NUMBERS + BLOCK_NUMBERS // 8) + 64
@@ -122,7 +122,7 @@ class VerletLists:
             self.enlarge(short)
 
     def enlarge(self, short: int) -> None:
-        """Where the pool is too small by so many places, replace it by one about twice as large."""
+        """Replace the pool, which is too small by so many places, by one about twice as large."""
         if short > 0:
             pool = self.arrays.pool
             require_countable(len(pool) + short, PLACES_IN_LISTS)
@@ -131,7 +131,7 @@ class VerletLists:
             self.arrays = self.arrays._replace(pool=pool, spans=spans_in(pool, len(self.arrays.spans)))
 
     def grow(self) -> None:
-        """Room for twice as many rows."""
+        """Make room for twice as many rows."""
         old = self.arrays
         rows, blocks = len(old.level), old.spans.size
         require_countable(len(old.pool) + blocks, PLACES_IN_LISTS)
