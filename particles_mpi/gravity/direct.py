@@ -26,14 +26,14 @@ summing: Any = inner(_nrt=False, error_model="numpy")
 
 
 class Attraction:
-    """What acts on targets x (n, d), for G = 1, by sources that come in blocks in the order of ids.
+    """The attraction of targets x (n, d), for G = 1, by sources that come in blocks in the order of ids.
 
-    at (tiles, d TILE): the targets, axis by axis; the last tile is filled up with the last target. sums (tiles, lanes d TILE): of
-    what acted on them so far; met: the number of sources so far.
+    at (tiles, d TILE): the targets, axis by axis; the last tile is filled up with the last target. sums (tiles, lanes d TILE):
+    what acted on the targets so far; met: the number of sources so far.
     """
 
     def __init__(self, x: Array, total: int, softening2: float):
-        """`total`: of the sources that will come."""
+        """`total`: the number of sources that will come."""
         self.x, self.softening2, self.met = x, softening2, 0
         self.axes, self.lanes = (0,) * x.shape[1], 1 if total <= ONE_SUM else LANE_COUNT
         self.at = in_tiles(x)
@@ -45,7 +45,7 @@ class Attraction:
         self.met += len(mass)
 
     def add_one_another(self, mass: Array, begin: int, end: int) -> None:
-        """The targets, which are in the order of ids, are sources too: tiles `begin` to `end` and those behind them, all in turn.
+        """Let targets, in the order of ids, act on one another: tiles `begin` to `end`, and for each of them all tiles behind it.
 
         Only where there are several lanes.
         """
@@ -125,7 +125,7 @@ def attract_one_another(axes, x, at, mass, softening2, first, begin, end, sums):
 
 @summing
 def attract_tiles(axes, at, mass, other, other_mass, softening2, first, own, sums):
-    """Two tiles act on one another: `own` are the sums of the first, by target, and `sums` those of the other."""
+    """Let two tiles act on one another: `own` are the sums of the first, by target, and `sums` those of the other."""
     wide()
     for i in range(TILE):
         lane = ((first + i) & (LANE_COUNT - 1)) * len(at)

@@ -127,9 +127,9 @@ def add_cell(far, lane, softening2, sums):
 
 @inner(_nrt=False, error_model="numpy")
 def expand(far, n, softening2, sums):
-    """The first n cells of a list add their parts to the sums (COEFFICIENTS CELL_LANES,); cells without mass fill the last block.
+    """Add the parts of the first n cells of a list to the sums (COEFFICIENTS CELL_LANES,); massless cells fill the last block.
 
-    Returns how many are in the list then: none.
+    Returns 0, the number of cells in the list then.
     """
     wide()
     while n % CELL_LANES:

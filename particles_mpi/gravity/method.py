@@ -1,4 +1,4 @@
-"""Direct sum or tree, and with which opening angle: formulas for cost and error, fitted to measurements.
+"""The choice of direct sum or tree, and of the opening angle: formulas for cost and error, fitted to measurements.
 
 The error is the median relative error of the acceleration, measured for Plummer spheres and uniform cubes of 1000 to a million
 particles with angles from 0.3 to 1; the formula follows the larger of the two, within a factor of two up to an angle of 0.7.
@@ -25,7 +25,7 @@ class Choice:
 
 
 def choose(method: str, angle: float, accuracy: float, dimension: int, total: int, multipole: str = "quadrupole") -> Choice:
-    """What `method` means for `total` particles; "auto": the cheaper one whose error is at most `accuracy`, with quadrupoles."""
+    """Return what `method` means for `total` particles; "auto": the cheaper one with an error of at most `accuracy`."""
     direct = PAIR_NS * total
     if method == "direct":
         return Choice(None, direct, "direct sum")

@@ -103,7 +103,7 @@ def add_quadrupole(at, t, cx, cy, cz, mass, second, softening2, sums):
 
 @lean_inner
 def enter_point(units, lists, n, x, mass, own):
-    """A particle waits as number n; `own`: its number among the targets, if it is one of them. Returns how many wait then."""
+    """Put a particle into the list as number n; `own`: its number among the targets, if it is one. Returns how many wait then."""
     (ox, oy, oz), length, unit, _ = units
     point, lists.own[n] = lists.points[n], own
     point[0], point[1], point[2], point[3] = length * (x[0] - ox), length * (x[1] - oy), length * (x[2] - oz), unit * mass
@@ -112,7 +112,7 @@ def enter_point(units, lists, n, x, mass, own):
 
 @lean_inner
 def enter_near_cell(units, lists, n, cell):
-    """A cell (WIDTH,) waits as number n. Returns how many wait then."""
+    """Put a cell (WIDTH,) into the list as number n. Returns how many wait then."""
     (ox, oy, oz), length, unit, _ = units
     near = lists.cells[n]
     near[MASS], near[CENTER] = unit * cell[MASS], length * (cell[CENTER] - ox)
@@ -124,7 +124,7 @@ def enter_near_cell(units, lists, n, cell):
 
 @adding
 def add_points(units, lists, n, blocks, total):
-    """The first n particles that wait act on the targets, of which there are so many blocks. Returns how many wait then, 0."""
+    """Let the first n particles of the list act on the targets, which fill so many blocks. Returns 0: none wait then."""
     wide()
     (at, sums, points, own, _), softening2 = lists, units.softening2
     for p in range(n):
@@ -137,7 +137,7 @@ def add_points(units, lists, n, blocks, total):
 
 @adding
 def add_cells(units, lists, n, blocks, total):
-    """The first n cells that wait act on the targets. Returns how many wait then, 0."""
+    """Let the first n cells of the list act on the targets. Returns 0: none wait then."""
     wide()
     (at, sums, _, _, cells), softening2 = lists, units.softening2
     for c in range(n):
@@ -152,7 +152,7 @@ def add_cells(units, lists, n, blocks, total):
 
 @formula
 def add_sums(units, blocks, sums, total):
-    """Add the sums of a list to the total in float64, in the units of that, and begin them anew."""
+    """Add the sums of a list to the total, in float64 and its units, and set them to 0."""
     depth = units.length / units.mass
     strength = units.length * depth
     for t in range(blocks * BLOCK_TARGETS):

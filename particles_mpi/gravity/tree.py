@@ -61,7 +61,7 @@ class Tree:
         self.order = np.empty(0, np.int64)  # of this rank's rows by key in the last call, which is nearly that of the next
 
     def attract(self, ids: Array, position: Array, mass: Array, work: Array) -> TreeResult:
-        """The attraction of all on each row, nan if a place is not finite. `work`: the last one. Collective."""
+        """Return the attraction of all on each row, nan if a place is not finite. `work`: of the last call. Collective."""
         ranks, d, self.interactions = self.ranks, self.dimension, 0
         x = np.zeros((len(position), 3))
         x[:, :d] = position
@@ -188,11 +188,11 @@ def equal_shares(ranks: Communicator, keys: Array, work: Array) -> Array:
 
 @kernel
 def select_essential(skip, count, first, cells, boxes, angle):
-    """What a rank needs of this rank's nodes, whose rows begin at `first`, if its branches have the bounding boxes (b, 6).
+    """Select what a rank needs of this rank's nodes, whose rows begin at `first`, if its branches have the bounding boxes (b, 6).
 
     Returns the numbers of the nodes, how many of the particles of each are needed, and the rows of those particles. A cell that
-    is far from all boxes is sent without its parts: it is then far from all groups within the boxes, in floating point
-    too, because rounding preserves order, and `is_far` is the very test that the walk makes.
+    is far from all boxes is sent without its parts: it is then far from all groups within the boxes, in floating point too,
+    because rounding preserves order, and `is_far` is the very test that the walk makes.
     """
     angle2 = angle * angle
     nodes, counts, rows = [], [], []

@@ -61,7 +61,7 @@ class Nodes(NamedTuple):
 
 
 class Law(NamedTuple):
-    """How cells and particles act."""
+    """The parameters with which cells and particles act."""
 
     angle: float  # opening angle
     softening2: float  # eps^2
@@ -80,7 +80,7 @@ class Group(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What all groups use, one after the other."""
+    """Memory that all groups use, one after the other."""
 
     double: SourceLists  # in float64, for sources that are close
     single: SourceLists  # in float32, for all others
@@ -136,7 +136,7 @@ def group_of(x, begin, end):
 
 @adding
 def give_results(x, group, units, room, work, rows):
-    """What the targets of a group found and what their expansion gives: acceleration, potential, work (targets, RESULT)."""
+    """Return the results of the targets of a group: acceleration, potential, work (targets, RESULT), from lists and expansion."""
     (mx, my, mz), length, mass, _ = units
     total, coefficients = room.total, room.coefficients
     add_lanes(room.sums, coefficients)

@@ -1,4 +1,4 @@
-"""What can only be judged with the particles at hand: walls, overlaps, the length of a step. All of it is collective."""
+"""Checks of a start that need the particles: walls, overlaps, the length of a step. All of it is collective."""
 
 from math import floor, inf, log10
 
@@ -29,10 +29,10 @@ FARTHEST = 1e6  # lengths of a periodic box, from which a given place can be bro
 def check_start(
     scene: Scene, particles: Particles, room: Room, faults: Faults, before: int = 0, judged: Array | None = None
 ) -> list[str]:
-    """Warnings of this rank's particles, and `faults`; overlaps that the scene allows are pushed apart in place. Collective.
+    """Return warnings about this rank's particles and add `faults`; overlaps that the scene allows are removed. Collective.
 
-    The first `before` of them were there already, and are only checked for overlaps with the new ones. Those that are not
-    `judged` (n,) overlap no other by the way they were made.
+    The first `before` rows existed already, and are only checked for overlaps with new ones. Rows that are not `judged` (n,)
+    overlap no other by the way they were made.
     """
     ranks = faults.ranks
     new = particles.select(np.arange(before, len(particles))) if before else particles
@@ -55,7 +55,7 @@ def check_start(
 
 
 def check_places(particles: Particles, room: Room, faults: Faults) -> None:
-    """Centres outside the box, and movable spheres that are not fully inside a wall (fixed ones may stand in it)."""
+    """Find centres outside the box, and movable spheres that are not fully inside a wall (fixed ones may stand in it)."""
     x = particles.position
     out = outside(x, room.lower, room.upper)
     faults.name("box: ", particles.id[out], " outside")
@@ -95,7 +95,7 @@ def largest_component(vectors: Array) -> Array:
 
 
 def check_crossings(scene: Scene, particles: Particles, faults: Faults) -> None:
-    """Who would meet so many others, or walls, in one step that the step would never end."""
+    """Find particles that would cross the box so often in one step that the step would never end."""
     dt = scene.time.step
     speed = largest_component(particles.velocity) + dt * largest_pull(scene, particles)
     fast = (particles.fixed == 0) & crosses_too_often(scene, speed, dt)

@@ -18,7 +18,7 @@ LARGEST_WHOLE = 2.0**53 - 1.0  # up to which no two whole numbers are the same f
 
 
 class Share(NamedTuple):
-    """This rank's share of a population: the particles `numbers` of it, which stand in these `rows` of the columns."""
+    """This rank's share of a population: the particles with these `numbers`, which are in these `rows` of the columns."""
 
     number: int  # of the population, in messages and in random numbers
     population: Population
@@ -43,14 +43,14 @@ def is_listed(name: str, value: Any, dimension: int) -> bool:
 
 
 class Columns:
-    """The columns that are built (`arrays`, which may begin with rows that are there already), and how they are filled."""
+    """The columns that are built (`arrays`, which may begin with rows that exist already), and how they are filled."""
 
     def __init__(self, scene: Scene, ranks: Communicator, faults: Faults, arrays: dict[str, Array], total: int):
         """`total`: particles that are built, on all ranks."""
         self.scene, self.ranks, self.faults, self.arrays, self.total = scene, ranks, faults, arrays, total
 
     def of(self, share: Share, name: str, value: Any) -> Any:
-        """This rank's part of a value of a population: of a list, a file, random numbers in a range; a number is for all.
+        """Return this rank's part of a value of a population: a list, a file, random numbers in a range, or one number for all.
 
         Collective.
         """
@@ -70,7 +70,7 @@ class Columns:
         return value[slice(*share.numbers)] if is_listed(name, value, self.scene.dimension) else value
 
     def fill(self, share: Share, name: str, value: Any) -> None:
-        """A field of a population from a number, a list, a file or a range. Collective."""
+        """Fill a field of a population from a number, a list, a file or a range. Collective."""
         mine, own = self.of(share, name, value), self.arrays[name][share.rows]
         values = np.asarray(mine, float)
         if own.dtype.kind in "iu":
@@ -86,6 +86,6 @@ class Columns:
             self.refuse(share, name, (own > 0.0) & (own < 1.0 / LARGEST_NUMBER), f"below {1.0 / LARGEST_NUMBER:g} for")
 
     def refuse(self, share: Share, name: str, bad: Array, why: str) -> None:
-        """A fault of a key of the population, which names the particles that are `bad` (n,) or (n, d). Collective."""
+        """Add a fault of a key of the population, which names the particles that are `bad` (n,) or (n, d). Collective."""
         which = np.flatnonzero(bad.any(axis=1) if bad.ndim == 2 else bad)
         self.faults.name(f"{share.key}.{name}: {why} ", self.arrays["id"][share.rows][which])

@@ -1,4 +1,4 @@
-"""What is wrong with a start, collected over the ranks: each fault a line, the same on all of them."""
+"""The faults of a start, collected over the ranks: a line for each fault, the same on all ranks."""
 
 from itertools import chain
 
@@ -24,7 +24,7 @@ class Faults:
         self.found: list[str] = []
 
     def add(self, fault: str) -> None:
-        """One that all ranks found."""
+        """Add a fault that all ranks found."""
         self.found.append(fault)
 
     def name(self, before: str, ids: Array, after: str = "") -> None:
@@ -33,6 +33,6 @@ class Faults:
             self.add(f"{before}{who}{after}")
 
     def stop(self) -> None:
-        """SceneError if there is a fault."""
+        """Raise SceneError if there is a fault."""
         if self.found:
             raise SceneError(self.found)

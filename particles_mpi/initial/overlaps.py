@@ -25,9 +25,9 @@ TOUCH = 1e-12  # relative overlap that still counts as touching
 
 
 def check_overlaps(particles: Particles, room: Room, allowed: bool, before: int, judged: Array, faults: Faults) -> list[str]:
-    """Overlapping spheres are a fault, or a warning and pushed apart where the scene allows them; returns warnings. Collective.
+    """Find overlapping spheres: a fault, or, where the scene allows it, pushed apart; returns warnings. Collective.
 
-    Of this rank's particles the first `before` were there already, and those that are not `judged` (n,) overlap nobody.
+    The first `before` rows existed already, and rows that are not `judged` (n,) overlap no others.
     """
     ranks, rows = faults.ranks, np.flatnonzero(judged)
     if not ranks.total(len(rows))[0]:

@@ -1,4 +1,4 @@
-"""The quantities of the particles of a start, in the order in which they are made: attributes, places, velocities."""
+"""The quantities of the particles of a start, in the order in which they are made: attributes, positions, velocities."""
 
 from functools import partial
 from math import inf

@@ -1,8 +1,8 @@
 """Positions for `position = "random"`: random sequential addition, with the same result on any number of ranks.
 
 Spheres are thrown at random points, one after the other; one that would overlap another is thrown again. All that have no place
-yet are thrown at once, and of those that overlap one another the larger one stays, or that with the lower number: this is the
-same as one after the other in that order. Each rank judges those that fall into its part of space, and knows who is near it.
+yet are thrown at once. Of those that overlap one another the larger one stays, or that with the lower number: this gives the same
+as one after the other in that order. Each rank decides on those in its part of space, and has copies of those near it.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ CUTTING_POINTS = 1000  # points of each rank that tell where space is cut
 
 
 class RandomAddition:
-    """Places for spheres in a room, beside those that are there. Collective throughout.
+    """Finds places for spheres in a room, beside those that are there. Collective throughout.
 
     `x` (n, d), `radius` (n,): the spheres of this rank that have a place; `radii`: of those of this rank that will get one.
     """
@@ -55,13 +55,13 @@ class RandomAddition:
             self.append(self.to_their_parts({"id": np.full(len(x), -1), "radius": radius, "position": x}))
 
     def to_their_parts(self, rows: dict[str, Array]) -> dict[str, Array]:
-        """Rows to the ranks in whose parts of space they are."""
+        """Send rows to the ranks in whose parts of space they are."""
         return rows if self.ranks.size == 1 else to_owners(self.ranks, rows, self.parts)
 
     def append(self, rows: dict[str, Array]) -> tuple[int, int, Halo | None]:
-        """Rows of this rank's part, and those of others that are near it, into the grid.
+        """Put rows of this rank's part, and copies of those of others that are near it, into the grid.
 
-        Returns (first row, how many are of this rank, and where the others are of which it has copies).
+        Returns (first row, how many are of this rank, and the `Halo` that refreshes the copies; None on one rank).
         """
         mine = rows_of(rows, self.grid.order(rows["position"], rows["radius"]))
         x, radius = mine["position"], mine["radius"]
@@ -107,7 +107,7 @@ class RandomAddition:
         return left
 
     def to_their_numbers(self, number: Array) -> Array:
-        """The places that were found, to whoever asked for them: x (n, d) of the spheres with these numbers; 0 without one."""
+        """Send the places that were found to the ranks of their spheres: x (n, d) of those with these numbers; 0 if none."""
         columns = {"id": np.empty(0, np.int64), "position": np.empty((0, self.dimension))}
         in_grid = {"id": self.grid.id, "position": self.grid.x}
         found = {
@@ -131,7 +131,7 @@ class RandomAddition:
         return {name: np.concatenate([part[name] for part in again]) for name in rows}
 
     def throw_many(self, rows: dict[str, Array], throw: int) -> dict[str, Array]:
-        """Throw each sphere once; returns those without a place, wherever they fell."""
+        """Throw each sphere once; returns those without a place, which may be of other ranks."""
         points, clear = points_of(self.key, rows["id"], np.array([throw]), rows["radius"], self.room)
         astray, rows = rows_of(rows, np.flatnonzero(~clear)), rows | {"position": points}
         if len(astray["id"]):

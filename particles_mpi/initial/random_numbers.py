@@ -1,9 +1,9 @@
-"""Random numbers of a start by (seed, population, quantity, number of the particle), whoever draws them, in whatever order.
+"""Random numbers of a start by (seed, population, quantity, number of the particle), independent of rank and order.
 
-A particle has the same numbers however many others there are, and on whatever rank: each rank draws those of its particles only.
-To change the radii of one population leaves its velocities, and all other populations, as they were.
-Most quantities take few numbers a particle, and come from numpy's generators, one for each block of particles. A particle that
-looks for a free place may need any number of points: those come from a hash of (particle, try, axis).
+A particle has the same numbers however many others there are, and on any rank: each rank draws those of its own particles only. A
+change of the radii of one population leaves its velocities, and all other populations, as they were. Most quantities take few
+numbers for each particle, and use numpy's generators, one for each block of particles. A particle that looks for a free place may
+need any number of points: those come from a hash of (particle, try, axis).
 """
 
 from collections.abc import Callable

@@ -13,7 +13,7 @@ from particles_mpi.scene.schema import Scene
 
 
 class Room(NamedTuple):
-    """The space in which particles are placed, and what they must keep clear of."""
+    """The space in which particles are placed, and the walls that they must not touch."""
 
     lower: Array  # (d,) corners of the box
     upper: Array

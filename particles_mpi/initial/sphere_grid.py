@@ -1,4 +1,4 @@
-"""Spheres of any sizes: who overlaps whom, and who comes first.
+"""A grid of spheres of any sizes, which finds those that overlap, and decides which one has its place first.
 
 A rank holds the spheres of its part of space, in the cells of `sphere_cells`.
 """
@@ -52,7 +52,7 @@ class SphereGrid:
         return first, last
 
     def keep(self, first: int, stays: Array) -> None:
-        """Of the rows from `first` on, which are the last that came, take away those that do not stay (bool)."""
+        """Remove those of the rows from `first` on, which came last, that do not stay (bool)."""
         if not stays.all():
             self.n = keep(first, self.n, stays, self.x, self.radius, self.id, self.grids)
 
@@ -70,7 +70,7 @@ class SphereGrid:
             rows = rows[:left]
 
     def open_points(self, x: Array, radius: Array, margin: float, rows: Array | None = None) -> Array:
-        """At which of the points x (n, d) would a sphere with this radius (n,) overlap nobody? (n,) bool.
+        """Return at which of the points x (n, d) a sphere with this radius (n,) would overlap no other; (n,) bool.
 
         `rows` (n,): those of these spheres, if they are in the grid themselves.
         """
@@ -125,7 +125,8 @@ def verdict(y, r, me, x, radius, ids, first, status, margin, grid):
 
 @kernel
 def decide(rows, x, radius, ids, first, status, margin, grid):
-    """Which of `rows` (m,) overlap nobody whose place is older? Returns how many are undecided, with which `rows` then begins.
+    """Decide which of `rows` (m,) overlap no sphere with an older place. Returns how many are undecided; `rows` begins with
+    these.
 
     Rows below `first` were there before. Of those from `first` on the larger sphere has its place first, and of equal ones that
     with the lower id; their `status` is FREE, TAKEN, or UNDECIDED while it depends on another one that is. Two spheres overlap

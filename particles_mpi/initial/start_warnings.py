@@ -1,4 +1,4 @@
-"""What a start may be, and will surprise: no fault, but told."""
+"""Warnings about a start that is allowed, but whose results may surprise the user."""
 
 import numpy as np
 
@@ -37,7 +37,7 @@ def planes_that_end(scene: Scene) -> list[str]:
 
 
 def endless_falls(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
-    """Warnings of forces with a component along a periodic axis: their work has no potential, for each turn takes more of it."""
+    """Warn of forces along a periodic axis, which have no potential: a particle gains energy in each turn around the box."""
     axes, drawn = np.flatnonzero(scene.periodic), []
     if "uniform_gravity" in scene.active:
         along = np.array(scene.active["uniform_gravity"].acceleration)[axes] != 0.0
@@ -70,7 +70,7 @@ def idle_effects(scene: Scene, particles: Particles, ranks: Communicator) -> lis
 
 
 def points_that_stick(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
-    """A warning of points on a line that lose energy to one another: at one place, nothing tells who is on which side."""
+    """Warn of points on a line that lose energy to one another: at one place, nothing says which one is on which side."""
     pairs = scene.active.get("collisions")
     if scene.dimension > 1 or pairs is None or pairs.mode != "event" or pairs.restitution in (None, 1.0):
         return []

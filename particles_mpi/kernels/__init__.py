@@ -1,13 +1,13 @@
-"""What compiled kernels stand on: how they are compiled, and small ones that all folders use.
+"""The basis of compiled kernels: how they are compiled, and small kernels that all folders use.
 
-- `jit`: the decorators that compile; `loading`: kernels come from numba's cache quickly
-- `lanes`: eight numbers at once; `memory`: arrays that begin with lines of the cache, and larger ones
-- `limits`: what 32 bits can count; `markers`: numbers with a meaning in arrays
+- `jit`: the decorators that compile; `loading`: loads kernels from numba's cache quickly
+- `lanes`: eight numbers at once; `memory`: arrays that begin with lines of the cache, and larger copies of arrays
+- `limits`: what 32 bits can count; `markers`: numbers with a special meaning in arrays
 - `geometry`: distances and places in a periodic box; `planes`: walls as arrays
-- `motion`: kicks and straight segments; `sliding`: under friction; `turning`: orientations that follow spins
-- `validity`: is everyone there, and inside? `fingerprint`: was an array changed?
+- `motion`: kicks and straight segments; `sliding`: motion under friction; `turning`: orientations that follow spins
+- `validity`: checks that all particles are finite and inside; `fingerprint`: a hash that shows whether an array has changed
 
-Nothing of the program starts where no folder for compiled kernels can be written: numba would raise an error at each of them.
+The program does not start if no folder for compiled kernels can be written: numba would raise an error at each of them.
 """
 
 from numba import njit

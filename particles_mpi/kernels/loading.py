@@ -1,13 +1,13 @@
-"""Kernels come from numba's cache in a third of the time: what only a compiler needs is read when something is compiled.
+"""Loads kernels from numba's cache in a third of the time: what only a compiler needs is read when something is compiled.
 
 With the machine code of a kernel numba keeps its bitcode, for kernels that are compiled later and call it. It reads this, and all
-names in it, whenever a kernel is loaded, which takes longer than all else. Before it loads the first one it also imports all that
-it knows of Python and numpy, and SciPy, which takes as long as a hundred kernels. And for each function of its own that a kernel
-calls it imports the module where that was written: for `np.searchsorted` a fifth of a second. Nearly always that is for nothing.
+names in it, whenever a kernel is loaded, which takes longer than all else. Before it loads the first one it also imports all its
+modules about Python and numpy, and SciPy, which takes as long as a hundred kernels. And for each function of its own that a
+kernel calls it imports the module that defines it: for `np.searchsorted` a fifth of a second. Nearly always that is not needed.
 
-And kernels are kept one at a time: of two processes that have compiled the same function for other arguments at the same moment,
-as the ranks of set-up do, numba would forget the one, or take its code for that of the other. All this is about private matters
-of numba: other versions than those that it was written for go on as they do.
+Also, this module saves kernels one at a time. If two processes have compiled the same function for other arguments at the same
+moment, as the ranks of set-up do, numba would lose one of them, or mix them up. All this changes private functions of numba; with
+versions of numba for which it was not written nothing is changed.
 """
 
 import fcntl

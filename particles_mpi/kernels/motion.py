@@ -49,7 +49,7 @@ def move_to(axes, x, v, start, i, t):
 
 @lean
 def end_segments(axes, x, v, start, h):
-    """From the start of each row's last segment to the end of the drift: x += v (h - start), in place."""
+    """Move each row from the start of its last segment to the end of the drift: x += v (h - start), in place."""
     for i in range(len(x)):
         for k in range(len(axes)):
             x[i, k] += v[i, k] * (h - start[i])
@@ -57,9 +57,9 @@ def end_segments(axes, x, v, start, h):
 
 @lean
 def press(a, fixed, held, pressed, alone):
-    """Accelerations a (n, d) of `held` rows become those by forces and contacts, `pressed`; `alone` (n, d) keeps what they were.
+    """Set accelerations a (n, d) of `held` rows to `pressed`, those by forces and contacts; `alone` (n, d) keeps the old ones.
 
-    What lies on something neither falls nor is pulled along by friction in the direction in which it would fall.
+    So a particle that lies on something does not fall, and friction does not act as if it fell.
     """
     for i in range(len(held)):
         if held[i] != 0 and fixed[i] == 0:
@@ -70,9 +70,9 @@ def press(a, fixed, held, pressed, alone):
 
 @lean
 def release(v, a, fixed, held, pressed, alone, force_time):
-    """The end of `press`: velocities v (n, d) lose what contacts gave in the kick, for that is found anew after it.
+    """Undo `press`: remove from velocities v (n, d) what contacts gave in the kick, because it is computed again after it.
 
-    force_time (n,): the times that accelerations acted.
+    force_time (n,): the times for which accelerations acted.
     """
     for i in range(len(held)):
         if held[i] != 0 and fixed[i] == 0:

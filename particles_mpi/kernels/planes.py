@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 class Planes(NamedTuple):
-    """Walls as arrays. A particle whose drift ends between the faces met none of those: most need not know more."""
+    """Walls as arrays. A particle whose drift ends between the faces met none of them, so most need no further test."""
 
     point: NDArray[Any]  # (w, d)
     normal: NDArray[Any]  # (w, d)

@@ -1,4 +1,4 @@
-"""Are all particles there, and all places numbers and where particles can be? Arrays only."""
+"""Tests whether all particles are there, finite, and at places where particles can be. Arrays only."""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
-"""What is measured of a state.
+"""Measurements of a state.
 
 - `diagnostics`: energies, momentum and observables, a row of the table
-- `snapshot`: the whole state, gathered: to compare, print and save
-- `watchdog`: is everyone there, finite, and inside?
+- `snapshot`: the whole state on one rank, to compare, print and save it
+- `watchdog`: checks that all particles are there, finite, and inside
 """

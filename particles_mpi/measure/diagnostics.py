@@ -110,7 +110,7 @@ def column_names(dimension: int, observables: bool, gravity: bool, spins: bool) 
 def observe(
     ranks: Communicator, p: Particles, volume: float, time: float, collisions: int, since: list[float], elastic: bool
 ) -> dict[str, float]:
-    """The observables, with rates over the interval since `since` = [time, collisions, virial], which is updated. Collective.
+    """Return the observables. Rates are for the time since `since` = [time, collisions, virial], which is updated. Collective.
 
     `collisions`: of all ranks since the start; `volume`: of the box, nan without one; `elastic`: do all collisions keep the
     energy? What is not defined is nan.

@@ -42,7 +42,7 @@ class Watchdog:
             raise StateError(next(text for text in self.ranks.allgather(mine) if text))
 
     def who_is_lost(self, p: Particles) -> str:
-        """A text: which ids are missing, and which exist more than once. Collective; each rank looks at its range of ids."""
+        """Return a text: which ids are missing or repeated. Collective; each rank looks at its range of ids."""
         ranks, span = self.ranks, self.span
         expected = (p.id >= span.first) & (p.id < span.end)
         if odd := listed_ids(ranks, p.id[~expected]):

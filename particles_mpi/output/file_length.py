@@ -1,8 +1,8 @@
-"""Keeps an HDF5 file at least as long as it says that it is.
+"""Keeps an HDF5 file at least as long as its header says.
 
 HDF5 writes into the first bytes of a file how long it is. It lengthens the file after that, and cuts it before. A file that is
-shorter than it says cannot be opened: so it would be if a run were killed in between, or if a limit on the size of files forbade
-that length.
+shorter than its header says cannot be opened. That would happen if a run were killed in between, or if a limit on the size of
+files forbade that length.
 """
 
 import io

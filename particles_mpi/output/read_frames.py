@@ -43,7 +43,7 @@ class FrameReader:
         self.cached: dict[tuple[int, int], Index] = {}  # of the file as it was then
 
     def index(self) -> Index:
-        """What there is now; read again only if the file has changed."""
+        """Return the index of the frames that are whole now; it is read again only if the file has changed."""
         if show := SHOW.get(self.path.resolve()):
             show()
         stamp, now = self._stamp(), time_ns()

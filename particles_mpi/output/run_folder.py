@@ -1,4 +1,4 @@
-"""The folder of a run: may a run write into it, and from which checkpoint in it does it go on?"""
+"""The folder of a run: whether a run may write into it, and from which checkpoint in it a run goes on."""
 
 import fcntl
 import json
@@ -67,9 +67,9 @@ def has_ended(folder: Path, ranks: Communicator) -> bool:
 
 
 class Lock:
-    """Keeps a folder for one run until it is released, or its process is gone; a SceneError if another run keeps it.
+    """Locks a folder for one run until it is released or its process has ended; SceneError if another run has locked it.
 
-    A file system that knows no locks of folders, as NFS and some of clusters, lets both write.
+    A file system that cannot lock folders, such as NFS and some of clusters, lets both write.
     """
 
     def __init__(self, folder: Path):

@@ -1,22 +1,22 @@
-"""Every MPI call of the program: rows are sent to ranks, ghosts refreshed, numbers summed; knows nothing of physics.
+"""Every MPI call of the program: sends rows to ranks, refreshes ghosts, sums numbers. It contains no physics.
 
 In the order in which to read them:
 
 - `communicator`: the ranks of a run, and the collective calls that the program needs
-- `exchange`: rows to any rank, all rows to all ranks at once or in blocks, rows in id order
+- `exchange`: sends rows to any rank, to all ranks at once or in blocks, or in id order
 - `halo`: the ghosts of a rank, and how they are refreshed
-- `decomposition`: space is cut into one domain for each rank, and when it is cut anew
+- `decomposition`: divides space into one domain for each rank, and decides when to divide it again
 - `buffers`: the arrays of a rank, with space for particles that arrive and for ghosts; or all particles on every rank
 - `exact_sum`: sums that do not depend on the order of their terms, hence not on the ranks
 - `agreement`: an error on one rank becomes an error on all, or ends all
 - `shared_file`: a file into which all ranks write
 - `signals`: Ctrl-C, SIGTERM, SIGUSR1 and the wall-time limit
-- `launcher`: starts mpirun, asks ranks to end on Ctrl-C, and shortens what is printed about those that failed
+- `launcher`: starts mpirun, ends its ranks on Ctrl-C, and shortens its messages about ranks that failed
 
-How a row gets to another rank. `LoadBalance` keeps the `Decomposition` of space, which tells the owner of each position.
+How a row gets to another rank. `LoadBalance` keeps the `Decomposition` of space, which gives the owner of each position.
 `RowBuffers.migrate` sends the rows that another rank owns by `send_rows`, all columns for one rank as a single message; arriving
-rows take their places. Ghosts are sent by `send_rows` too, and `RowBuffers.append_ghosts` puts them behind the owned rows; until
-the next search for neighbours `Halo` refreshes them.
+rows take the places of those that left. Ghosts are sent by `send_rows` too, and `RowBuffers.append_ghosts` puts them behind the
+owned rows. `Halo` refreshes them until the next search for neighbours.
 """
 
 import os

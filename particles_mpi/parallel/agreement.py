@@ -1,7 +1,7 @@
 """An error on one rank becomes an error on all ranks, or ends all of them, with one line that names the rank.
 
-`raising_together` and `same_on_all` are for the set-up, where all ranks do the same: what goes wrong on one is raised on all.
-In the time loop the other ranks may wait in a collective call that the failing rank never reaches: an exception that nobody
+`raising_together` and `same_on_all` are for the set-up, where all ranks do the same: an error on one rank is raised on all. In
+the time loop the other ranks may wait in a collective call that the failing rank never reaches. There, an exception that is not
 caught goes to `abort_all`, which prints the message of the lowest failing rank and ends all ranks.
 """
 
@@ -72,7 +72,7 @@ def raising_together(ranks: Communicator) -> Iterator[None]:
 def await_all(ranks: Communicator, error: Exception | None, patience: float = PATIENCE) -> None:
     """Wait for all ranks; a rank with an error waits for `patience` seconds only, then it ends all ranks. Collective.
 
-    Code that catches an error and goes on calls it first: if this rank alone has the error, the others wait for it elsewhere.
+    Code that catches an error and goes on must call it first: if only this rank has the error, the others wait for it elsewhere.
     """
     if error is None:
         ranks.comm.Ibarrier().Wait()
@@ -155,11 +155,11 @@ def describe_unexpected(error: BaseException) -> str:
 
 
 def abort_all(error: BaseException, whole: bool = False) -> int:
-    """Print why this rank ends, and end all ranks. Returns the exit code only where processes can end by themselves.
+    """Print why this rank ends, and end all ranks. Returns the exit code if processes can end by themselves.
 
-    That is on a single rank, or where every rank fails by an error that is raised on all of them (`Notice.shared`).
-    Prints one line, or one for each fault of a scene; with `whole` the traceback of an unexpected exception. Where several
-    ranks fail within PATIENCE seconds, only the lowest prints.
+    They can on a single rank, or where every rank fails by an error that is raised on all of them (`Notice.shared`). Prints one
+    line, or one for each fault of a scene; with `whole` the traceback of an unexpected exception. Where several ranks fail within
+    PATIENCE seconds, only the lowest prints.
     """
     world, notice = Communicator(MPI.COMM_WORLD), _notice(error, whole)
     found = {0: notice} if world.size == 1 else _notices(world, notice)
@@ -230,7 +230,7 @@ _pending: list[Any] = []  # a message must outlive the call that sends it
 
 
 def abort_uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """An exception that nobody caught in a user's script ends all ranks, with its exit code; this is `sys.excepthook` then."""
+    """End all ranks after an exception that a user's script did not catch, with its exit code; it is `sys.excepthook` then."""
     sys.exit(abort_all(error.with_traceback(trace), whole=True))
 
 

@@ -16,7 +16,7 @@ GROWTH = 1.2  # of the rows that are needed: how many new arrays have space for
 
 
 class RowBuffers:
-    """Holds the arrays of `particles`, which shows their first rows. Behind these ghosts may stand."""
+    """Holds the arrays of `particles`, which are views of their first rows. Ghosts may stand behind these."""
 
     def __init__(self, particles: Particles):
         self.particles = particles
@@ -24,7 +24,7 @@ class RowBuffers:
         self.spare: dict[Any, Array] = {}  # one array for each type and width, into which columns are sorted in turn
 
     def adopt(self) -> None:
-        """Copy the arrays of `particles` into the buffers, if somebody else has put new ones there."""
+        """Copy the arrays of `particles` into the buffers, if other code has put new ones there."""
         arrays = self.particles.arrays
         if any(array.base is not self.buffers.get(name, self) for name, array in arrays.items()):
             require_countable(len(self.particles), "particles")
@@ -34,7 +34,7 @@ class RowBuffers:
             self.show(len(self.buffers["id"]))
 
     def show(self, count: int) -> None:
-        """From here on the first `count` rows are the particles."""
+        """Make the first `count` rows the particles."""
         self.particles.replace({name: array[:count] for name, array in self.buffers.items()})
 
     def reserve(self, rows: int) -> None:
@@ -111,12 +111,12 @@ class RowBuffers:
 
 
 class Replica:
-    """For a computation in one order of time that all ranks make alike: all particles on every rank, kept up to date.
+    """All particles on every rank, kept up to date, for a computation in one order of time that all ranks do alike.
 
-    `all_particles` holds the rows of all ranks, always the same, in any order; on one rank it is `particles` itself.
+    `all_particles` holds the rows of all ranks, the same on each, in any order; on one rank it is `particles` itself.
 
-    The version of `all_particles` is raised where a field of `MEETING` changed that is not among the `changing` ones, which are
-    those that a drift changes. `self.version` is the one for which `row_of` holds.
+    The version of `all_particles` is raised where a field of `MEETING` changed that is not among the `changing` ones, which a
+    drift changes. `self.version` is the one for which `row_of` holds.
     """
 
     def __init__(self, particles: Particles, ranks: Communicator, changing: Sequence[str]):

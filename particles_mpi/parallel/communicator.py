@@ -26,7 +26,7 @@ class Communicator:
     """
 
     def __init__(self, comm: MPI.Comm | None = None):
-        """`comm`: by default all ranks that were started."""
+        """`comm`: an MPI communicator, by default that of all ranks that were started."""
         self.comm = MPI.COMM_WORLD if comm is None else comm
         self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
         self.is_root = self.rank == 0
@@ -36,7 +36,7 @@ class Communicator:
 
     @classmethod
     def alone(cls) -> Communicator:
-        """This rank by itself."""
+        """Return a communicator with this rank only."""
         return cls(MPI.COMM_SELF)
 
     @property
@@ -132,11 +132,11 @@ class Communicator:
         return value if self.size == 1 else self.comm.bcast(value)
 
     def barrier(self) -> None:
-        """Wait until all ranks have come here."""
+        """Wait until all ranks have reached this call."""
         self.comm.Barrier()
 
     def sleeping_barrier(self, patience: float = inf) -> bool:
-        """The same, but a rank that waits leaves its core free for others. Have all come here within `patience` seconds?"""
+        """The same, but a waiting rank leaves its core to others. Returns whether all ranks came within `patience` seconds."""
         arrived, end = self.comm.Ibarrier(), perf_counter() + patience
         while not arrived.Test():
             if perf_counter() > end:

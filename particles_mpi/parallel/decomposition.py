@@ -1,7 +1,7 @@
 """Space is divided by recursive coordinate bisection: a binary tree of cuts assigns every point to one rank.
 
-A point on a cut belongs to the upper side. The outermost domains extend to infinity, so that every finite position has an
-owner, with or without a box. It is cut anew as soon as the time lost to imbalance exceeds what a cut costs.
+A point on a cut belongs to the upper side. The outermost domains extend to infinity, so that every finite position has an owner,
+with or without a box. Space is divided again as soon as the time lost to imbalance exceeds the cost of that.
 """
 
 from math import inf
@@ -145,12 +145,12 @@ def owners(x, axis, cut, below, above):
 
 
 def to_owners(ranks: Communicator, columns: dict[str, Array], parts: Decomposition) -> dict[str, Array]:
-    """Rows to the ranks that own their positions; `columns` have a "position". Collective."""
+    """Send rows to the ranks that own their positions; `columns` have a "position". Collective."""
     return send_rows(ranks, columns, *by_destination(parts.owner(columns["position"]), ranks.size))[0]
 
 
 class LoadBalance:
-    """Holds the domain decomposition. Which rank owns a particle never changes a result, so measured times may decide."""
+    """Holds the decomposition. It may depend on measured times, because which rank owns a particle never changes a result."""
 
     def __init__(self, ranks: Communicator, timers: Timers):
         self.ranks, self.timers = ranks, timers
@@ -159,7 +159,7 @@ class LoadBalance:
         self.cost = self.lost = self.worked = 0.0
 
     def update(self, particles: Particles, searches: int) -> None:
-        """Cut space for the first time, or again if that saves time; `searches`: for neighbours, so far. Collective."""
+        """Divide space for the first time, or again if that saves time; `searches`: for neighbours, so far. Collective."""
         if self.cuts and (self.ranks.size == 1 or searches % COMPARE_EVERY):
             return
         worked = sum(self.timers.seconds.get(phase, 0.0) for phase in WORKING)

@@ -1,4 +1,4 @@
-"""Rows between ranks: to any rank, to all ranks, in id order, and in blocks."""
+"""Exchange of rows between ranks: to any rank, to all ranks, in id order, and in blocks."""
 
 from collections.abc import Iterator, Sequence
 from math import prod

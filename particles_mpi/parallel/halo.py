@@ -1,4 +1,4 @@
-"""The ghosts of a rank, which are refreshed as their owners change them."""
+"""The ghosts of a rank, and their refreshing when owners have changed them."""
 
 from __future__ import annotations
 

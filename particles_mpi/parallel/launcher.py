@@ -136,12 +136,12 @@ class Launcher:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, asking)
 
     def send(self, number: int) -> None:
-        """Send a signal, if it is still there."""
+        """Send a signal to mpirun, if it has not ended."""
         if self.code is None:
             os.kill(self.pid, number)
 
     def ask(self, *_: object) -> None:
-        """What the signals of a user call."""
+        """The handler of a user's signals: the first one is passed on to mpirun as SIGUSR1, the third one kills it."""
         self.requests += 1
         if self.requests == 2:
             say(b"\nmpirun: the ranks have been told to stop; Ctrl-C once more kills them\n")
@@ -195,7 +195,7 @@ def runs(pid: str) -> bool:
 
 
 def say(text: bytes) -> None:
-    """Print on stderr, if anybody listens: a run goes on when its terminal, or what reads its output, has gone."""
+    """Print on stderr; errors are ignored, for a run goes on when its terminal, or what reads its output, is gone."""
     with suppress(OSError):
         while text:
             text = text[os.write(2, text) :]

@@ -34,7 +34,7 @@ class SharedFile:
                 self.file.Write_at(place + at, data[at : at + ONCE])
 
     def close(self) -> None:
-        """What all ranks wrote is in the file when all have closed it; and on the disk, if they are on several machines."""
+        """Close the file on all ranks. What they wrote is in it then, and on the disk if they are on several machines."""
         if self.plain:
             self.plain.close()
         else:

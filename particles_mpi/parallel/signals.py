@@ -24,18 +24,18 @@ POLL_STEPS, POLL_SECONDS = 10, 0.2  # between two polls of all ranks: whichever 
 
 
 def exit_on_signals() -> None:
-    """From here on a signal ends the process; an exception would wait for the other ranks in MPI_Finalize."""
+    """Let signals end the process from now on; an exception would wait for the other ranks in MPI_Finalize."""
     for number in SIGNALS:
         signal.signal(number, lambda *_: os._exit(EXIT_ON_SIGNAL))
 
 
 class SignalCaught:
-    """Remembers when the first signal came, for `check_signals`, and how many seconds (`grace`) a step has to end after it."""
+    """Keeps the time of the first signal, for `check_signals`, and how many seconds (`grace`) a step has to end after it."""
 
     asked_at, begun, grace = np.inf, -np.inf, GRACE  # begun: when the present step did
 
     def ask(self, *_: object) -> None:
-        """What a signal calls."""
+        """The signal handler: note the time of the first signal."""
         self.asked_at = min(self.asked_at, perf_counter())
 
 
@@ -65,15 +65,15 @@ class StopRequest(SignalCaught):
         return bool(stop)
 
     def __enter__(self) -> None:
-        """A step begins, or several that are computed at once."""
+        """Note that a step begins, or several that are computed at once."""
         self.begun = perf_counter()
 
     def __exit__(self, *_: object) -> None:
-        """It has ended: the next one may take as long. The first one, which may compile, soon counts no more."""
+        """Give the next step twice the time of this one, after a signal. A first step, which may compile, soon counts no more."""
         self.grace = max(GRACE, min(AS_BEFORE * (perf_counter() - self.begun), LONGEST_GRACE))
 
     def close(self) -> None:
-        """Give the signals back their former meaning."""
+        """Restore the former signal handlers."""
         _requests.remove(self)
         for number, handler in self.before.items():
             signal.signal(number, handler)

@@ -1,4 +1,4 @@
-"""The curves of a run: what diagnostics.csv tells over time, in a few panels."""
+"""The curves of a run: the columns of diagnostics.csv over time, in a few panels."""
 
 from __future__ import annotations
 

@@ -37,10 +37,10 @@ class Shown:
 
 
 class LiveView:
-    """What a simulation shows of itself in a notebook: its frames from now on, every so many steps, as a `Run` has them.
+    """The frames of a running simulation in a notebook: from now on, one every so many steps, as a `Run` has them.
 
-    While the simulation goes on rank 0 sends the new frames to the page, a few times a second; at the end of a run the page is
-    made anew, with all frames, so that a saved notebook has them. Every method is collective.
+    While the simulation goes on, rank 0 sends new frames to the page, a few times a second. At the end of a run the page is made
+    again with all frames, so that a saved notebook has them. Every method is collective.
     """
 
     ended, folder = True, "simulation"

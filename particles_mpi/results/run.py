@@ -24,8 +24,8 @@ FILES = ("trajectory.vtkhdf", "diagnostics.csv", "run.json")
 class Run:
     """The folder of a run: `len(run)` frames at `run.times`; `run[k]` is a `Frame` (k < 0 from the end), `run[a:b]` a list.
 
-    Nothing is kept open, and each access looks anew: of a run that is going on it sees the frames and rows that are whole.
-    Raises SceneError, one line, for what is not there, and IndexError for a frame that is not.
+    No file is kept open, and each access reads again: of a run that is still going on it sees the frames and rows that are whole.
+    Raises SceneError, one line, for what does not exist, and IndexError for a frame that does not.
     """
 
     def __init__(self, folder: str | Path):

@@ -1,4 +1,4 @@
-"""What a user sees: the plan, a progress bar, the phase table. Printed by rank 0; plain lines where there is no terminal."""
+"""The output for a user: plan, progress bar, phase table. Rank 0 prints it; plain lines where there is no terminal."""
 
 import os
 import sys
@@ -47,7 +47,7 @@ LOG_WIDTH = 200  # columns of a table that is not shown on a terminal
 
 
 def state_of(row: dict[str, Any]) -> str:
-    """A row of diagnostics in a few words; N, the energy and what happened so far. "" for none."""
+    """Return a row of diagnostics in a few words: N, the energy and counts so far; "" for an empty row."""
     if not row:
         return ""
     has_potential = isfinite(row["total_energy"])  # not where a force acts along a periodic axis
@@ -67,7 +67,7 @@ def watched() -> bool:
 
 
 def tell_of_compiling(dimension: int) -> None:
-    """From here on print a line, once, if this process has to compile a kernel; set-up compiles those up to dimension 3."""
+    """Print a line, once, if this process has to compile a kernel from now on; set-up compiles those up to dimension 3."""
     from numba.core import event
 
     class Teller(event.Listener):
@@ -85,7 +85,7 @@ def tell_of_compiling(dimension: int) -> None:
 
 
 class SteadyConsole(Console):
-    """Where nobody reads any longer what it prints, as behind `| head`, it is quiet: what it tells of goes on."""
+    """A console that stops printing where its output is no longer read, as behind `| head`; the run goes on."""
 
     def on_broken_pipe(self) -> None:
         self.quiet = True

@@ -1,4 +1,4 @@
-"""What a run tells when it has come to its end: the phase table, `run.json`, and where to look next."""
+"""The end of a run: prints the phase table, remarks and where to look next, and writes `run.json`."""
 
 import json
 import platform
@@ -17,7 +17,7 @@ PROJECT = Path(__file__).parents[2]  # where run.sh and python_viz are, unless o
 
 
 def as_typed(path: Path) -> str:
-    """A path as a user would write it here."""
+    """Return a path as a user would type it in this folder."""
     try:
         return quote(str(path.relative_to(Path.cwd())))
     except ValueError:
@@ -38,11 +38,11 @@ def tell_end(
     sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], phases: dict[str, float],
     first: int, rows: list[Any], ended: bool,
 ) -> None:  # fmt: skip
-    """Show the phase table and the remarks of a run, and write `run.json` into its folder. Collective.
+    """Print the phase table and the remarks of a run, and write `run.json` into its folder. Collective.
 
-    `ended`: was that its last one, or was the run stopped?
-    `seconds`: of this rank for the set-up and for the loop, which began with the step `first`; `phases`: for those of the loop.
-    `rows` of diagnostics: those of the start, if this is not a part of a run, and of the end.
+    `ended`: was its last step done, or was the run stopped? `seconds`: of this rank for the set-up and for the loop, which began
+    with the step `first`; `phases`: for those of the loop. `rows` of diagnostics: those of the start, if this is not a part of a
+    run, and of the end.
     """
     timers, counts = phase_seconds(sim, seconds, phases), run_counts(sim)
     remarks = sim.remarks() + energy_remarks(sim.active, rows)
@@ -71,7 +71,7 @@ def tell_end(
 
 
 def energy_remarks(effects: Any, rows: list[Any]) -> list[str]:
-    """A line where nothing takes or gives energy, and yet it changed by more than NOTICEABLE of what there was."""
+    """Return a line where nothing takes or gives energy, but it changed by more than NOTICEABLE of its value."""
     if len(rows) < 2 or not effects.conserves_energy:
         return []
     first, last = rows[0], rows[-1]

@@ -20,7 +20,7 @@ MOST_VTK = 1_000_000  # particles of which there are VTK files without being ask
 
 
 def without_large_vtk(output: Any, total: int) -> list[str]:
-    """Takes VTK out of the `output` of a scene with very many particles that does not ask for it; returns what a user is told."""
+    """Remove VTK from the `output` of a scene with very many particles that does not ask for it; returns lines for the user."""
     if total <= MOST_VTK or "vtk" not in output.formats or "formats" in output.model_fields_set:
         return []
     output.formats.remove("vtk")
@@ -28,10 +28,10 @@ def without_large_vtk(output: Any, total: int) -> list[str]:
 
 
 class RunFiles:
-    """Claims a folder for a run, opens what it writes, and writes it. Collective throughout.
+    """Claims a folder for a run, opens its files, and writes them. Collective throughout.
 
-    `plan`: that of the run. `resumed`: does it go on from a checkpoint? `own`: from the one in this folder? `continues`: does the
-    run go on that is in the folder? `written`: the last row and frame there.
+    `plan`: that of the run. `resumed`: does it go on from a checkpoint? `own`: from the one in this folder? `continues`: is it
+    the run in the folder that goes on? `written`: the last row and frame there.
     """
 
     def __init__(self, sim: Any, folder: Path, plan: dict[str, Any], *, resumed: bool, own: bool, overwrite: bool):
@@ -49,7 +49,7 @@ class RunFiles:
             raise
 
     def open(self, about: dict[str, Any]) -> None:
-        """Open the writers; all have looked at their files before the first one changes its own. `about`: for `run.json`."""
+        """Open the writers. Each checks its file before the first one changes its own. `about`: for `run.json`."""
         sim, ranks, output, d = self.sim, self.ranks, self.sim.scene.output, self.sim.scene.dimension
         step = sim.steps_done if self.continues else None
         frame, row, last_count = (self.written.get(name) for name in ("frame", "row", "frame_particles"))
@@ -83,14 +83,14 @@ class RunFiles:
             raise
 
     def shown(self) -> dict[str, Array]:
-        """The fields that a frame shows; `fixed` only where something was when the first one was written."""
+        """Return the fields of a frame; `fixed` only if a particle was fixed when the first frame was written."""
         arrays = self.sim.rows.arrays
         return {n: a for n, a in arrays.items() if field(n).output and (n != "fixed" or self.written["fixed"])}
 
     def write_row(self, extra: bool = False) -> dict[str, Any]:
-        """One row of diagnostics.csv: the state, and what happened since the row before.
+        """Write a row of diagnostics.csv: the state, and what happened since the row before.
 
-        An `extra` row, with which a run ends, is as if it were not there for the next one, and is removed when the run goes on.
+        An `extra` row at the end of a run is ignored by the next row, and is removed when the run goes on.
         """
         sim = self.sim
         before = sim.reported, sim.observed["row"].copy(), self.written["row"]
@@ -110,7 +110,7 @@ class RunFiles:
         return {**row, "hits_so_far": collisions + wall_hits, "missed_so_far": missed}
 
     def check_folder(self) -> None:
-        """Stop where the folder is no longer this run's."""
+        """Raise an error if the folder no longer belongs to this run."""
         with failing_together(self.ranks, f"cannot write into {self.folder} at step {self.sim.steps_done}"):
             if self.lock:
                 self.lock.check()
@@ -126,7 +126,7 @@ class RunFiles:
             self.written |= {"frame": self.sim.steps_done, "frame_particles": self.sim.total}
 
     def save(self) -> None:
-        """The exact state; replaces the checkpoint before."""
+        """Write a checkpoint with the exact state, which replaces the one before."""
         sim = self.sim
         with sim.timers("output"):
             self.check_folder()
@@ -145,7 +145,7 @@ class RunFiles:
         sim.saved = self.folder.resolve(), sim.steps_done, identity_of(path, self.ranks)
 
     def dump(self, error: StateError) -> StateError:
-        """Write all rows of a state that has lost its meaning into `stopped.h5`; returns the error that tells of it."""
+        """Write all rows of an invalid state to `stopped.h5`; returns the error with a text that names the file."""
         sim, path = self.sim, self.folder / "stopped.h5"
         safe = ", the last checkpoint is untouched" if sim.saved or self.continues else ""
         try:
@@ -161,13 +161,13 @@ class RunFiles:
                 writer.close()
 
     def give_up(self) -> None:
-        """Close what can be closed, after an error: what that left unwritten is refused once more, which says nothing new."""
+        """Close all that can be closed after an error. Errors about data that was not written are ignored."""
         with self.sim.timers("output"):
             for writer in (*self.frames, self.diagnostics):
                 with suppress(OSError, RuntimeError, ValueError, StoppedError):
                     writer.close()
 
     def release(self) -> None:
-        """The folder is free for others."""
+        """Unlock the folder for other runs."""
         if self.lock:
             self.lock.release()

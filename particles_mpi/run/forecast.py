@@ -21,7 +21,7 @@ WRITING = {"output": "every", "diagnostics": "diagnostics_every", "checkpoint": 
 
 
 class Outlook(NamedTuple):
-    """Later steps take between `least` and `most` times as long as those at the start; `reason`: why, if that exceeds TRUST."""
+    """Later steps take between `least` and `most` times as long as the first ones; `reason`: why, if that exceeds TRUST."""
 
     least: float = 1.0 / TRUST
     most: float = TRUST

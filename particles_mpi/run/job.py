@@ -1,4 +1,4 @@
-"""One run from plan to phase table: its options, its steps, and what ends it; `files` has what it writes."""
+"""One run, from its plan to its phase table: its options, its steps, and what ends it. `files` writes its results."""
 
 from collections.abc import Sequence
 from numbers import Real
@@ -25,8 +25,8 @@ SAFETY = 1.5  # times the slowest checkpoint: how long before the limit of its t
 class Job:
     """Runs a simulation into a folder. Collective throughout.
 
-    A `rehearsal` says nothing, and ends as soon as rank 0 has a `forecast` of how long the run would take. `notes` are lines to
-    be shown below the plan; `scene_file`: where the scene is from, for the command that goes on with a run that was stopped.
+    A `rehearsal` prints nothing, and ends as soon as rank 0 has a `forecast` of how long the run would take. `notes`: lines to be
+    shown below the plan; `scene_file`: the file of the scene, for the command with which a run that was stopped is continued.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Job:
             raise
 
     def run(self) -> None:
-        """To the last step, or to a signal."""
+        """Run to the last step, or until a signal or the limit of time."""
         sim, begun_with, stopped = self.sim, self.sim.steps_done, False
         try:
             self.screen.plan(self.scene.title, self.plan, sim.warnings)
@@ -106,7 +106,7 @@ class Job:
             raise Interrupted(saved + command)
 
     def take_steps(self) -> bool:
-        """The steps, and all that is shown and written between them; was the run stopped before the last one?"""
+        """Do the steps, and show and write all that is due between them; returns whether the run was stopped early."""
         sim, files, output, row, stopped = self.sim, self.files, self.scene.output, dict[str, Any](), False
         pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
         shown = sim.steps_done
@@ -150,7 +150,7 @@ class Job:
         return stopped
 
     def foretell(self, forecast: Forecast) -> None:
-        """Say how long the run takes, and say it again where it turns out otherwise."""
+        """Print how long the run takes, and print it again if that changes."""
         before = self.forecast
         if before and before.least <= forecast.seconds <= before.most:
             return
@@ -163,7 +163,7 @@ class Job:
         self.screen.say(f"  predicted{' now' if before else ''}: {forecast}")
 
     def save(self) -> None:
-        """A checkpoint; the longest one so far tells how long before the limit of its time the run stops."""
+        """Write a checkpoint. The longest time that one took decides how long before its limit of time the run stops."""
         began = perf_counter()
         self.files.save()
         self.request.reserve = max(self.request.reserve, SAFETY * (perf_counter() - began))

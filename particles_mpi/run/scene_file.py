@@ -1,4 +1,4 @@
-"""The scene file that a command is given, read and compared among the ranks; and other paths in its options."""
+"""Reads the scene file of a command and compares it among the ranks; also checks other paths in its options."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,14 +12,14 @@ SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="The scene
 
 
 def given_path(text: str) -> Path:
-    """The path in an option; an empty text, as of a variable of the shell that is not set, is not the folder one is in."""
+    """Return the path in an option. An empty text, as of a shell variable that is not set, is not taken for this folder."""
     if not text:
         raise typer.BadParameter("is empty")
     return Path(text)
 
 
 def load(path: Path, quiet: bool = True) -> Any:
-    """The scene of a file: the same on all ranks, or refused. Collective. Unless `quiet` it is told if kernels are compiled."""
+    """Load the scene of a file: the same on all ranks, or refused. Unless `quiet`, tell the user of compiling. Collective."""
     from particles_mpi.run.console import tell_of_compiling
     from particles_mpi.scene.schema import Scene
 

@@ -1,4 +1,4 @@
-"""The time limit of the scheduler in whose job a run is: Slurm's.
+"""The time limit of the batch job, of Slurm, in which the program runs.
 
 Sources: the manual pages of sbatch (SLURM_JOB_ID, SLURM_JOB_END_TIME) and squeue (%L, the time left).
 """

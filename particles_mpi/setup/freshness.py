@@ -1,8 +1,8 @@
-"""No kernel is loaded that was compiled from other sources than those that are here: looked at whenever the program starts.
+"""Makes sure, whenever the program starts, that no kernel is loaded which was compiled from sources that have changed since.
 
-Numba compares a compiled kernel with the file that defines it, and with no other: a kernel that uses a function or a constant of
-another file, which has changed since, would be loaded as it was, and no one would be told. `kernel_sources` knows which kernels
-these are, but takes a second. So first times and sizes of all files are compared with those of the last look: a few milliseconds.
+Numba compares a compiled kernel only with the file that defines it. If a kernel uses a function or a constant of another file
+that has changed, the old kernel would be loaded without a warning. `kernel_sources` finds these kernels, but takes a second. So
+first times and sizes of all files are compared with those of the last check, in a few milliseconds.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Which compiled kernels are out of date?
+"""Finds the compiled kernels that are out of date.
 
 `python -P particles_mpi/setup/kernel_sources.py` ends with exit code 1 if there are any; `freshness` deletes them.
 
@@ -6,8 +6,8 @@ Numba compiles a kernel again when the file that defines it has changed, but not
 constants it uses. Therefore a digest of each kernel is kept: of all definitions in the package that it uses, directly or through
 others, as syntax trees without docstrings. This module imports nothing of the package, so that it runs quickly.
 
-What numba keeps of a kernel names the classes of its arguments, also those that the kernel itself does not know, because a caller
-in another file has handed them on. Numba fails if such a class is not there any more, so kernels that name one are deleted too.
+Numba's file of a kernel names the classes of its arguments, also those that the kernel itself does not import, because a caller
+in another file has passed them. Numba fails if such a class no longer exists, so kernels that name one are deleted too.
 """
 
 import ast

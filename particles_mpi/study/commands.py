@@ -1,4 +1,4 @@
-"""The commands `particles-mpi study ...`: their arguments, and what they say of themselves."""
+"""The commands `particles-mpi study ...`: their arguments and help texts."""
 
 from pathlib import Path
 from typing import Annotated, Any

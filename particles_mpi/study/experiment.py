@@ -1,4 +1,4 @@
-"""What an experiment is: settings of the same problem, the errors that each makes, what each costs in seconds and in work."""
+"""Experiments: settings of the same problem, the errors that each makes, and what each costs in seconds and in work."""
 
 from __future__ import annotations
 

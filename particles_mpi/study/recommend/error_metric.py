@@ -1,14 +1,14 @@
-"""How wrong a run is, against a reference that is far better, and how finely that can be told.
+"""How wrong a run is, against a reference that is far better; and the smallest error that can be measured.
 
-The resolution limit of an error: smaller ones cannot be told from round-off, which grows as a displacement of the start does,
-from the reference's own error, or, where motion is chaotic, from the spread of runs that are all as right.
+An error is below the resolution limit if it cannot be told from round-off, which grows like a displacement of the start, from the
+error of the reference itself, or, where motion is chaotic, from the spread of runs that are equally right.
 
 Names of errors, all relative numbers:
 - state: largest distance of any particle from its place in the reference, at the snapshots (up to 16, evenly over the run), over
   the size of the motion
 - energy: largest |E - E_true| over |E| of the start, or over the largest kinetic energy where |E| is below a hundredth of it
 - collision rate, wall hits, kinetic energy: of the whole run, over those of the reference; height: over the height of fall
-State is compared as long as a displaced start does not end up somewhere else; otherwise the others are.
+States are compared if a displaced start ends up at nearly the same place; otherwise the other errors are used.
 """
 
 from dataclasses import dataclass, field
