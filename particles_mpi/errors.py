@@ -6,7 +6,7 @@ from typing import Any
 
 EXIT_ON_SIGNAL = 130
 MOST_NAMED = 5  # particles or pairs named in a fault
-LONGEST_REASON = 400  # characters of an unexpected error that are told
+LONGEST_REASON = 400  # characters of an unexpected error that are printed
 
 
 class SceneError(ValueError):

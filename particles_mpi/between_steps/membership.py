@@ -53,7 +53,7 @@ class Membership(State):
         if self.ranks.total(np.count_nonzero(here))[0] < len(named):
             found = np.concatenate(self.ranks.allgather(self.rows.id[here]))
             raise ValueError(f"remove: no {listed(np.setdiff1d(named, found))}")
-        if "virial" in self.rows.arrays:  # of the collisions of those who stay, and of those only, from here on
+        if "virial" in self.rows.arrays:  # from here on only collisions of the remaining particles count
             gone = exact_sums(self.ranks, [self.rows.virial[here]])[0]
             for since in self.observed.values():
                 since[2] -= gone

@@ -143,7 +143,7 @@ class Saved(Membership):
         for sim in (self, other):
             sim.take_changes()
         clocks = [(sim.time, sim.h, sim.next_id) for sim in (self, other)]
-        ranks = max(self.ranks, other.ranks, key=lambda ranks: ranks.size)  # who must come to the same answer
+        ranks = max(self.ranks, other.ranks, key=lambda ranks: ranks.size)  # all of these must get the same answer
         files = self.scene.digests() == other.scene.digests()
         if not ranks.all(self.scene == other.scene and files and clocks[0] == clocks[1]):
             return False

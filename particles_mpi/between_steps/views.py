@@ -14,7 +14,7 @@ from particles_mpi.errors import StateError
 from particles_mpi.particles import Array, Particles, as_shown, moment_of_sphere, same_bits
 
 READ_ONLY = ("id", "rate", "total_acceleration", "free_acceleration")
-GUARDED = 8  # arrays of earlier steps that are looked after, in case somebody writes into them
+GUARDED = 8  # arrays of earlier steps that are checked, in case the user writes into them
 
 
 class ParticleView:

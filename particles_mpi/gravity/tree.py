@@ -4,9 +4,9 @@ Particles are sent to the rank that owns their Morton key, in equal shares of th
 sent back; which rank holds a particle otherwise does not matter. A cut between ranks never divides a group, so every list of
 sources is made by one rank alone, always in the same order: the result has the same bits on any number of ranks.
 
-Of the other ranks' cells a rank needs with all their parts those that its own particles may open; of all others the moments are
-enough. Together they are its locally essential tree (M. Warren and J. Salmon, Supercomputing '92, 570): joined in the order of
-keys it is the one tree of all particles, without the insides of cells that nobody on this rank opens.
+A rank needs those cells of other ranks, with all their parts, that its own particles may open; of all other cells the moments are
+enough. Together they are its locally essential tree (M. Warren and J. Salmon, Supercomputing '92, 570). Joined in the order of
+keys it is the one tree of all particles, without the insides of cells that no group of this rank opens.
 """
 
 from typing import NamedTuple

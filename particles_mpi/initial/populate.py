@@ -105,7 +105,7 @@ class Populator:
             fill_velocities(columns, share, shares)
         self.faults.stop()
         particles = Particles(self.scene.dimension, columns.arrays)
-        judged = ~scattered  # by whether they overlap: those with random places overlap nobody
+        judged = ~scattered  # which rows are tested for overlaps: those with random places have none
         warnings = check_start(self.scene, particles, room, self.faults, self.before, judged)
         self.faults.stop()
         return particles, self.notes + warnings

@@ -152,7 +152,7 @@ def open_points(y, r, me, x, radius, ids, n, margin, grid):
 
 @kernel
 def first_come(first, last, who, placed, x, radius, ids, margin, grid):
-    """Enter those of the rows first ... last - 1 that overlap nobody, unless their `who` is `placed`; which of them (bool)."""
+    """Enter those of the rows first ... last - 1 that overlap no others, unless their `who` is `placed`; returns which (bool)."""
     stays, undecided = np.zeros(last - first, np.bool_), np.empty(0, np.int8)
     for i in range(first, last):
         sphere = who[i - first]

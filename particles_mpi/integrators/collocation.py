@@ -39,9 +39,9 @@ NOTHING = 1e-280  # smaller accelerations are none: times a tolerance they would
 GUESSED = 1.5  # times the last step: for longer ones its polynomial is no guess
 ROOT_ROUNDS = 60
 
-# What `go_on` asks for, or tells.
+# What `go_on` returns: what it needs, or how the step has ended.
 FORCES, MAXIMA, END, STUCK = 0, 1, 2, 3
-# Where it stands between two calls: what it has asked for.
+# The stage between two calls: what it needs next.
 AT_START, SHAKEN_PLACES, AT_NODE, OVER_RANKS = 0, 1, 2, 3
 
 
@@ -187,7 +187,7 @@ def end_of_try(x, v, round_off, left, work, tables):
     h, largest = s["length"], s["largest"]
     copy(x0, x)
     s["blind"] = s["blind"] + 1 if tables.gain * round_off > BLIND * tables.coarsest * largest else 0
-    least = min(tables.gain * round_off, tables.coarsest * largest)  # that the highest coefficient can tell
+    least = min(tables.gain * round_off, tables.coarsest * largest)  # value of the highest coefficient that means something
     diverged = left > max(DIVERGED * largest, NOISY * least / tables.gain) and not largest <= NOTHING
     if diverged or not s["change"] < np.inf:  # far too long
         return SHRINK * h

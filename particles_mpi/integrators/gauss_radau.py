@@ -61,7 +61,7 @@ class Adaptive:
     def accelerations(self, particles: Particles) -> Array:
         """Accelerations at the present positions, 0 where there are no forces."""
         if self.box:
-            wrap(particles.position, *self.box)  # `collocation` computes each place anew
+            wrap(particles.position, *self.box)  # this is safe: `collocation` computes each position again
         a = self.sum_forces()
         return np.zeros_like(particles.position) if a is None else a
 

@@ -55,7 +55,7 @@ class Watchdog:
         texts = [f"{i} on ranks {', '.join(map(str, ranks_of))}" for i, ranks_of in holders]
         twice = list(chain.from_iterable(ranks.allgather(texts)))[:MOST_NAMED]
         faults = []
-        if span.total < span.end - span.first:  # some were removed, and nobody has kept which
+        if span.total < span.end - span.first:  # some were removed; their ids are not known
             missing = ranks.total(len(lost))[0] - (span.end - span.first - span.total)
             faults += [f"lost: {missing} particle{'s' if missing > 1 else ''}"] if missing > 0 else []
         elif who := listed_ids(ranks, lost):

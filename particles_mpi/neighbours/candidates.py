@@ -21,7 +21,7 @@ SLOWEST = 2.2  # times the mean bounding radius: rows beyond it are FAST, one in
 OVERSIZE_FACTOR = 8.0  # times the mean bounding radius: rows beyond it are OVERSIZE, if they are few
 FEW_OVERSIZE = 64
 EXPECTED = 6  # contacts of a sphere in a heap, twice what are needed to rest
-ALONE = 4  # times as long takes a test for a row that asks alone: its surroundings are not in the cache
+ALONE = 4  # times as long takes a test for a row that searches alone: its surroundings are not in the cache
 
 
 class Hits(NamedTuple):

@@ -66,9 +66,9 @@ class Waiting(NamedTuple):
     """Rows that wait for the test of their paths, which are prefetched, for each row that looks for partners."""
 
     around: Array  # (n + WAITING,) int32: the rows
-    asking: Array  # (WAITING,) int32: the row that asks, for one part of `around` after the other
+    asking: Array  # (WAITING,) int32: the row that looks for partners, for one part of `around` after the other
     until: Array  # (WAITING,) int32: where that part ends
-    place: Array  # (WAITING, d): position of the row that asks at the start of its path, of the image in question on gridded axes
+    place: Array  # (WAITING, d): position of that row at the start of its path; on gridded axes that of the image in question
 
 
 @inner(error_model="numpy")

@@ -16,7 +16,7 @@ from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array, spin_components
 
 # What hits are about: own rows that no other rank holds; own rows that others hold as ghosts; an own row and a ghost. Which
-# partners were selected must be told for the last only, new segments for the last two.
+# partners were selected must be sent for the last only, new segments for the last two.
 OWN_ONLY, SHARED_ROWS, ACROSS = 0, 1, 2
 
 

@@ -3,7 +3,7 @@
 MOST_STEPS = 400
 STRIDE = 0.15  # of the steps, from one try to the next
 WORSE = 1.003  # times the cost before: above it the cost has risen
-# Costs of a search, a row in it, a row that asks for itself, a pair in a step; in the time of one pair test (about 5 ns).
+# Costs of a search, a row in it, a row that searches alone, a pair in a step; in the time of one pair test (about 5 ns).
 SEARCH_COST, ROW_COST, ASKED_COST, PAIR_COST = 2e4, 50.0, 100.0, 1.0
 
 

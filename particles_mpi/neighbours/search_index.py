@@ -182,7 +182,7 @@ def move_rows(rows, paths, owned, index):
                 level[i] = RENEWED
                 write_entry(i, e, midpoint, bounding_radius, origin, scale, entry)
                 continue
-            entry[e, 3] = nan  # no one meets it there
+            entry[e, 3] = nan  # NaN passes no test: no row finds it there
         if bounding_radius[i] > limit:
             level[i] = OVERSIZE
             oversize[number[0]] = i

@@ -121,7 +121,7 @@ def first_in_cells(axes, lists, place, i, size):
                 begin = first[step] + (c0 * n1 + c1) * n2
                 for c in range(f2, f2 + m2):
                     j = head[np.uint64(begin + (c if c < n2 else c - n2))]
-                    prefetch(reference, j)  # for -1 it asks in vain
+                    prefetch(reference, j)  # for -1 this does nothing useful
                     nearby[np.uint64(waiting)] = j
                     waiting += j >= 0
     return waiting

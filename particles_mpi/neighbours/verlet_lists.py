@@ -52,7 +52,7 @@ class VerletLists:
         """
         n, d = x.shape
         low, high = (x.min(axis=0), x.max(axis=0)) if n else (np.zeros(d), np.ones(d))
-        everything = float((high - low).max()) + distance + way  # in so wide a skin is everybody: few rows would want ever more
+        everything = float((high - low).max()) + distance + way  # a skin so wide has all rows: it need not be wider
         widest = min(self.widest_skin(distance), everything or 1.0)
         wanted = WANTED.get(d, WANTED_BEYOND)
         if n <= wanted:  # all are in the list

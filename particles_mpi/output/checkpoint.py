@@ -1,13 +1,13 @@
 """The exact state of a run in one HDF5 file, which is replaced as a whole.
 
 - /particles/<field>: (N,) or (N, d), in id order, every bit as it was (NaN, -0.0 and subnormals too)
-- /contacts/id, partner, taken: (M,), in the order of ids, what lasting contacts took: see `contacts/warm_start`
+- /contacts/id, partner, taken: (M,), in the order of ids, the impulses of lasting contacts: see `contacts/warm_start`
 - @particles_mpi_checkpoint, the FORMAT, @total, @dimension, and the attributes given: step, time, scene text, counts
 
 Rank 0 makes the file with room for all rows, and each rank writes those of its range of ids into it, by MPI-IO: no rank holds the
 rows of another. Behind the HDF5 file there is a seal, which HDF5 ignores: the CRC-32 of each piece of rows, and of all bytes
-between them. A file that was cut short, or of which a bit has changed, is never taken for a state; who reads some rows reads
-and checks the pieces with them only.
+between them. A file that was cut short, or in which a bit has changed, is never accepted as a state. To read some rows, a rank
+reads and checks only the pieces that contain them.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Files that are replaced as a whole, so that nobody ever finds half of one."""
+"""Files that are replaced as a whole, so that a reader never finds half of one."""
 
 import os
 from collections.abc import Iterator

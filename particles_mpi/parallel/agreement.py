@@ -165,7 +165,7 @@ def abort_all(error: BaseException, whole: bool = False) -> int:
     found = {0: notice} if world.size == 1 else _notices(world, notice)
     lowest, complete = min(found), len(found) == world.size
     code = found[lowest].code
-    with suppress(Exception):  # where nobody can be told (no stderr, a closed pipe), the ranks are ended all the same
+    with suppress(Exception):  # where nothing can be printed (no stderr, a closed pipe), the ranks are ended all the same
         sys.stdout.flush()
     if world.rank == lowest:
         alone = not (complete and all(other.text[:LENGTH] == notice.text[:LENGTH] for other in found.values()))

@@ -1,20 +1,21 @@
-"""Starts mpirun, asks it to end as a run can end, and leaves out its paragraphs about ranks that say themselves why they end.
+"""Starts mpirun, ends it in a way in which a run can save, and removes its paragraphs about ranks that explain their end
+themselves.
 
-`python particles_mpi/parallel/launcher.py LAUNCHER ARGUMENTS...` is what the mpirun in .venv/bin runs. stdin, stdout and the
-exit code are the launcher's own.
+`python particles_mpi/parallel/launcher.py LAUNCHER ARGUMENTS...` is what the mpirun in .venv/bin runs. stdin, stdout and the exit
+code are the launcher's own.
 
-Signals. On Ctrl-C Open MPI's mpirun stops to pass on what ranks print, waits, tells the ranks, waits, and kills them; a second
-one kills them at once. So SIGINT, SIGTERM and SIGHUP are blocked in it, and come to this process alone, which sends SIGUSR1 to
-mpirun: that is passed to the ranks at once, and a run then saves and ends. At the second signal it says that a third one kills
-the ranks, which the third one does.
+Signals. On Ctrl-C Open MPI's mpirun stops to pass on what ranks print, waits, sends the ranks a signal, waits, and kills them; a
+second Ctrl-C kills them at once. So SIGINT, SIGTERM and SIGHUP are blocked in mpirun, and come to this process alone. It sends
+SIGUSR1 to mpirun, which passes it to the ranks at once; a run then saves and ends. At the second signal it prints that a third
+one kills the ranks, which the third one does.
 
-Messages. Of the paragraphs between two lines of dashes, and lines that begin with [host:pid], both by Open MPI, those about
-MPI_Abort, or an exit code of ours, are left out and those about a signal or another exit code are shortened; all else passes at
-once. No setting of Open MPI does that: `orte_execute_quiet` hides also that a rank was killed, or that there is no such program.
+Messages. Open MPI prints paragraphs between two lines of dashes, and lines that begin with [host:pid]. Those about MPI_Abort or
+an exit code of this program are removed, and those about a signal or another exit code are shortened; all else passes at once. No
+setting of Open MPI does that: `orte_execute_quiet` also hides that a rank was killed, or that there is no such program.
 
 Its own end. When a rank has ended all of them while another one is in MPI_Finalize, the mpirun of Open MPI 4 sometimes crashes,
-or waits for itself for ever, with all ranks gone (twice in 500 times on a busy machine). It has then said which exit code there
-is, and this process ends with that.
+or waits for itself for ever, with all ranks gone (twice in 500 times on a busy machine). It has printed its exit code before, and
+this process ends with that.
 """
 
 import os

@@ -36,7 +36,7 @@ def rates(rows: dict[str, Array], most: int) -> tuple[Array, dict[str, Array]]:
     edges = rows["time"][::group]
     end = (len(edges) - 1) * group + 1
     lasting = np.diff(edges)
-    lasting = np.where(lasting > 0.0, lasting, np.inf)  # somebody has set the clock back: of that interval nothing is known
+    lasting = np.where(lasting > 0.0, lasting, np.inf)  # the user has set the clock back: no rate is known for that interval
     counts = {name: np.add.reduceat(rows[name][:end], np.arange(1, end, group)) for name in EVENTS}
     return edges, {name: row / lasting for name, row in counts.items()}
 

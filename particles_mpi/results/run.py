@@ -104,7 +104,7 @@ class Run:
     def ended(self) -> bool:
         """Has the run reached its end? If not, it is going on, was stopped, or killed."""
         about = self.about
-        return bool(about.get("ended", "timers" in about))  # earlier versions told nothing of it
+        return bool(about.get("ended", "timers" in about))  # earlier versions did not write it
 
     @property
     def dimension(self) -> int:

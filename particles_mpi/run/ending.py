@@ -30,7 +30,7 @@ elif (PROJECT / "run.sh").is_file():
     PROGRAM = as_typed(PROJECT / "run.sh")
 else:
     PROGRAM = "particles-mpi"
-NOTICEABLE = 0.01  # change of the energy, where there should be none, of which a user is told
+NOTICEABLE = 0.01  # change of the energy, where there should be none, that is printed
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
 

@@ -16,7 +16,7 @@ from particles_mpi.results.scenery import paraview_script
 from particles_mpi.run.ending import run_counts, scene_and_folder
 
 FRAMES_IN = {"hdf5": "trajectory.vtkhdf", "vtk": "particles.pvd"}  # by format: what one opens to see the frames
-MOST_VTK = 1_000_000  # particles of which there are VTK files without being asked for: slower and larger than HDF5
+MOST_VTK = 1_000_000  # particles: with more, VTK files are written only on request, because they are slower and larger than HDF5
 
 
 def without_large_vtk(output: Any, total: int) -> list[str]:
@@ -74,7 +74,7 @@ class RunFiles:
         try:
             for writer in (*self.frames, self.diagnostics):
                 writer.open()
-            if self.continues:  # what it tells of an end is no longer true
+            if self.continues:  # what it says of the end is no longer true
                 write_text(self.folder / "run.json", ranks, json.dumps(about, indent=2) + "\n")
             if output.formats:
                 write_text(self.folder / "view_paraview.py", ranks, paraview_script(self.folder, sim.scene.to_dict()))
@@ -150,7 +150,7 @@ class RunFiles:
         safe = ", the last checkpoint is untouched" if sim.saved or self.continues else ""
         try:
             checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
-        except StoppedError as failure:  # what has gone wrong first must be told all the same
+        except StoppedError as failure:  # the first error must be raised all the same
             return StateError(f"{error}; {failure}{safe}")
         return StateError(f"{error}; all rows are in {path}{safe}")
 

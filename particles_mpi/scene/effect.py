@@ -109,7 +109,7 @@ class Force(Effect):
     """A force: it adds to the accelerations of particles, and never overwrites them."""
 
     role = "force"
-    place_dependent: ClassVar[bool] = True  # False: evaluated anew only after a user's change, or where rows moved
+    place_dependent: ClassVar[bool] = True  # False: evaluated again only after a user's change, or a new order of rows
     collective: ClassVar[bool] = False  # does `add` communicate? Then all ranks call it together
     of_movable: ClassVar[bool] = False  # True: `potential` of movable particles has the part of fixed ones too
     g: Any = None  # the acceleration (d,), if it is the same for every particle

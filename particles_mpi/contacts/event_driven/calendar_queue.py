@@ -31,7 +31,7 @@ EMPTY, UNSORTED = -1, -2  # what `find_first` returns for a bucket without event
 class Queue(NamedTuple):
     """The queue as the kernels take it."""
 
-    node: Array  # (n, NODE) int32: PARTNER, his EVENT_COUNT then, NEXT and PREVIOUS row of the BUCKET or -1, REPETITIONS
+    node: Array  # (n, NODE) int32: PARTNER, its EVENT_COUNT then, NEXT and PREVIOUS row of the BUCKET or -1, REPETITIONS
     times: Array  # the same memory as float64: TIME of the event
     first: Array  # (buckets,) int32: a row of each bucket, or -1
     per_time: float  # buckets in a unit of time

@@ -183,7 +183,7 @@ class EventDriven:
         """Do nothing about drifts that were done elsewhere: the next drift notices by itself that rows have moved."""
 
     def remarks(self) -> list[str]:
-        """What a user should be told at the end. Collective."""
+        """Return the remarks for the end of the run, one line each. Collective."""
         found = self.ranks.allgather(self.tc_elastic)
         count = sum(number for number, _, _ in found)
         said = f"collapsing crowds: in {self.crowded_steps} steps some contacts took all of the approach, as if e = 0"

@@ -46,10 +46,10 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array
 
 LITTLE_CHANGE = 0.2  # `balance` before the iterations is done only if its factor is within this of 1: else contacts have changed
-# Where at least so many iterations are asked for, errors are followed down to round-off, not to a tolerance: of rough spheres
+# Where at least so many iterations are to be done, errors are reduced to round-off, not to a tolerance: of rough spheres
 # more, for what fewer leave of errors is hit after hit where contacts keep no gap.
 EXACT, ROUGH_EXACT = 100, 400
-# Iterations, after which contacts are no longer asked to go back to the gap that they keep: it seems that there is no room, as
+# Iterations, after which contacts need no longer go back to the gap that they keep: it seems that there is no room, as
 # in a box that is full from side to side; and those that are done then, for contacts without a gap.
 ASKED, WITHOUT_GAP = 500, 1500
 

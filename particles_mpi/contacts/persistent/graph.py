@@ -16,7 +16,7 @@ from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.parallel.halo import Halo
 from particles_mpi.particles import Array, Particles
 
-AGREED = 1.0 + 1e-9  # times the widths, so that ranks agree on who is near the border, whatever the round-off
+AGREED = 1.0 + 1e-9  # times the widths, so that ranks agree on which rows are near, whatever the round-off
 
 
 class ContactGraph:

@@ -9,7 +9,7 @@ from particles_mpi.contacts.warm_start import Memory, nothing
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles
 
-GRAPH_SKIN = 0.3  # of the smallest radius: so far rows may move, two together, before the graph is made anew
+GRAPH_SKIN = 0.3  # of the smallest radius: so far two rows together may move before the graph is built again
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
 ROUND_UP = 1.000001  # times a width: so the graph has all that `inside_zone` finds, whatever is rounded
 

@@ -78,12 +78,12 @@ def pressing(axes, start, partner, normal, load, before, push, net_push, stress)
 
 @kernel
 def slow(contacts, closing, last_impulses, of_rows, pressed, h, tolerance, margin, slight):
-    """Which contacts are slow, and what is asked of them (`may_close`, `per_allowed`, `per_round_off`), 0 for the others.
+    """Return which contacts are slow, and the targets of these (`may_close`, `per_allowed`, `per_round_off`), 0 for the others.
 
-    `of_rows`: who is held already, and radii. A contact that had one of the `last_impulses` is held too. Errors are allowed up to
-    `tolerance` radii of the smaller sphere in a step, or PRECISE times the speed below which a contact is slow, or times `slight`
-    of the larger push of the two where that is more. Contacts keep a gap of `margin` tolerances, to which they return in some
-    steps, or errors of one step would be the work of the next one.
+    `of_rows`: which rows are held already, and radii. A contact that had one of the `last_impulses` is held too. Errors are
+    allowed up to `tolerance` radii of the smaller sphere in a step, or PRECISE times the speed below which a contact is slow, or
+    times `slight` of the larger push of the two where that is more. Contacts keep a gap of `margin` tolerances, to which they
+    return in some steps; otherwise errors of one step would be the work of the next one.
     """
     start, partner, _, _, gap, larger_push, crowd = contacts
     supported, radius = of_rows

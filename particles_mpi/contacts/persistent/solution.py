@@ -122,7 +122,7 @@ class SlowContacts:
 
         look = None if again else asleep
         v, good, sleeps = self.solver.solve(problem, w, v, graph.id, graph.exchange, least, self.pairs, look)
-        impulses = impulses if sleeps else self.kind.impulses(problem)  # nothing changes for those who are asleep
+        impulses = impulses if sleeps else self.kind.impulses(problem)  # a pile that is asleep keeps its impulses
         normal_impulses = along_normals(np.maximum(impulses, before) if again else impulses)
         held = carried(contacts.start, normal_impulses)
         all_impulses = np.zeros_like(last_impulses)

@@ -136,9 +136,9 @@ def deepest_overlap(segments, radius, first, second, time, length):
 
 @lean
 def brushed_pairs(segments, spheres, first, second, h, length):
-    """How many pairs of rows overlap at h of which both have had contacts: told by the owner of the first one.
+    """Return how many pairs of rows overlap at h of which both have had contacts; the owner of the first row counts a pair.
 
-    Where one was turned into the way of another that had gone on already, they may part again before they are found to meet.
+    If one was turned into the path of another that was computed before, they may part again before they are found to meet.
     """
     _, _, _, last_partner = segments
     radius, _, _, owned = spheres

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 NONE = np.empty(0)
 TOO_DENSE = -1.0  # what `all_passes` returns for more contacts than they can put in order
-LOOK_AFTER = 3  # passes, after which partners that overlap are taken as a sign of a crowd, not of two who soon move apart
+LOOK_AFTER = 3  # passes, after which partners that overlap are a sign of a crowd, and not of two that soon move apart
 
 
 class Rewind:
@@ -126,7 +126,7 @@ class Rewind:
         self.virial_before = self.virial.copy()
 
     def remarks(self) -> list[str]:
-        """What a user should be told at the end. Collective."""
+        """Return the remarks for the end of the run, one line each. Collective."""
         return self.signs.remarks(self.exact)
 
     def all_passes(self, h: float) -> tuple[Array, float]:

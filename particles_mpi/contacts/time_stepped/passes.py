@@ -70,14 +70,14 @@ def select_contacts(spheres, hits, selection):
 
 @kernel
 def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, active, log, counts, virial):
-    """Apply the hits that both partners selected, or the one that is not fixed.
+    """Apply the hits that both partners selected, or, if one is fixed, the other one.
 
     `rules`: loss of a pair, planes, `Rates`, `Rough`, periodic lengths (d,).
 
     Rows that changed, and rows with a hit that has to wait, are active in the next pass, and no others. `log` gets the owned rows
     of which this was the first contact. `counts` (4,) += collisions, wall hits and collisions that came late, each collision
-    counted by the owner of the lower id. Its virial r.J, where that is wanted (else `virial` (owned,) is empty), is told to the
-    lower id, or to the other one if that is fixed.
+    counted by the owner of the lower id. Its virial r.J is added to the row of the lower id, or to the other one if that is
+    fixed; `virial` (owned,) is empty where it is not wanted.
     """
     x, v, start, last_partner = segments
     radius, w, ids, owned = spheres

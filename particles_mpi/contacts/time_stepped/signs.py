@@ -14,7 +14,7 @@ from particles_mpi.particles import row_dot
 if TYPE_CHECKING:
     from particles_mpi.contacts.event_driven.operator import EventDriven
 
-DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift, which nobody may keep
+DEEP = 0.5e-3  # of a radius: an overlap at the end of a drift that may not remain
 SPEEDS_EVERY = 10  # drifts between two looks at the speeds, until one is too fast
 
 
@@ -68,7 +68,7 @@ class Signs:
         self.late_collisions += late
 
     def remarks(self, exact: "Callable[[], EventDriven]") -> list[str]:
-        """What a user should be told at the end; `exact`: gives the operator that did the dense steps. Collective."""
+        """Return the remarks for the end of the run; `exact`: returns the operator that did the dense steps. Collective."""
         remarks = []
         if self.dense_steps:
             dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"

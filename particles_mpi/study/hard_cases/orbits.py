@@ -16,7 +16,7 @@ FAR_BINARIES = ((0.01, 100.0), (1.0, 1e4), (1.0, 1e6))  # separation, and place 
 FAR_ORBITS = 5  # of each: what round-off does grows as their root
 SAMPLES_AN_ORBIT = 4  # of the energy
 ROUNDINGS = {"adaptive": 1, "leapfrog": 1, "order4": 6}  # of a position in a step, for `adaptive` in each that it takes inside
-NEGLIGIBLE_CHANGE = 1e-9  # change of the energy that nobody minds
+NEGLIGIBLE_CHANGE = 1e-9  # change of the energy that is acceptable
 
 
 def two_masses(

@@ -9,8 +9,8 @@ from particles_mpi.run.console import Screen
 from particles_mpi.study.report import numbers_table
 from particles_mpi.study.scaling.performance_model import Law, Model, Point
 
-EXTRAPOLATED = [1 << k for k in (*range(11), 16)]  # ranks that the model is asked about
-DISTURBED_LATENCY = 1e-4  # seconds: no message within a machine takes that long, unless somebody else has the core
+EXTRAPOLATED = [1 << k for k in (*range(11), 16)]  # numbers of ranks for which the model predicts
+DISTURBED_LATENCY = 1e-4  # seconds: no message within a machine takes that long, unless another program has the core
 COUNTS = ("fetches", "rows", "ghost_rows", "messages", "reductions", "all_to_alls", *(f"bytes_{kind}" for kind in KINDS))
 SHOWN_PHASES = 7  # phases of a table, and of the figure
 
