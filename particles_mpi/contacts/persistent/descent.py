@@ -7,18 +7,18 @@ O'Donoghue and E. Candes, Found. Comput. Math. 15, 715 (2015); for contacts H. M
 
     p' = max(y - (N u + c)/D, 0),   u = v + W N y,   y' = p' + beta (p' - p).
 
-D is diagonal. For each row i, b_i is a bound of the largest eigenvalue of the sum of n n^T over its contacts. With D = w_i b_i +
-w_j b_j the matrix D - A is positive, so no step is too long. The impulse p of a contact is kept as a speed, p (w_i + w_j), by
-which it changes the approach of its partners. A half-edge is computed by the owner of its row, from velocities that ranks
+D is diagonal. For each row i, b_i is a bound of the largest eigenvalue of the sum of n n^T over its contacts.
+D = w_i b_i + w_j b_j makes D - A positive, so no step is too long. The impulse p of a contact is kept as a speed, p (w_i + w_j),
+by which it changes the approach of its partners. A half-edge is computed by the owner of its row, from velocities that ranks
 exchange in each iteration; all sums are in the order of half-edges (`graph`). So the bits are the same on any number of ranks.
 For rough spheres, max(., 0) is followed by a cut of the tangential impulses: `rough_iterations`.
 
-Large piles are solved only to a tolerance. Before and after the iterations p is multiplied by the factor at which p A p/2 + p (N
-v + c) is least: errors then do no work in sum over all contacts. Rough piles whose errors are far below the tolerance (CALM) are
-not multiplied, because the rounding of the factor itself would move them.
+Large piles are solved only to a tolerance. Before and after the iterations p is multiplied by the factor at which
+p A p/2 + p (N v + c) is least: errors then do no work in sum over all contacts. Rough piles whose errors are far below the
+tolerance (CALM) are not multiplied, because the rounding of the factor itself would move them.
 
-With friction the problem is not the search for a minimum, and the work of errors tells less. Momentum is given up where errors do
-work, and, in the first half of the iterations, where they are more than GROWN times the least so far. If the errors do not become
+With friction the problem is not to find a minimum, and the work of errors means less. Momentum is given up where errors do work,
+and, in the first half of the iterations, where they are more than GROWN times the least so far. If the errors do not become
 small enough, impulses are multiplied by the factor above, if it is less than 1: so no energy is added.
 """
 
