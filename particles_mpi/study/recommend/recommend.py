@@ -126,8 +126,8 @@ def report(screen: Screen, found: Recommendation) -> None:
     metric, names = search.metric, ", ".join(search.tolerances)
     scene, method = metric.start.scene, trial.method
     say(f": {metric.start.total} particles, {names} to {found.tolerance:g}", head=scene.title or "untitled scene")
-    finest = ", ".join(f"{name} can be measured down to {metric.limits[name]:.1g}" for name in search.tolerances)
-    say(f"  reference: {metric.reference}; {finest} ({metric.why})")
+    finest = ", ".join(f"{name} {metric.limits[name]:.1g}" for name in search.tolerances)
+    say(f"  reference: {metric.reference}; the smallest errors that can be measured: {finest} ({metric.why})")
     if left_out := [f"{name} {limit:.1g}" for name, limit in metric.limits.items() if name not in search.tolerances]:
         say(f"  no tolerance for what was not asked for, or cannot be measured so finely: {', '.join(left_out)}")
     if metric.part < 1.0:
