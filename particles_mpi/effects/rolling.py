@@ -16,9 +16,9 @@ class Options(EffectOptions):
 
     def faults(self, scene: Scene) -> list[str]:
         if not scene.rough:
-            return ["resistance: nothing rolls without friction in [effects.collisions] or [effects.walls]"]
+            return ["resistance: spheres roll only with friction in [effects.collisions] or [effects.walls]"]
         if not any(issubclass(options.effect_class(), Force) for options in scene.effects.values()):
-            return ["resistance: acts in contacts that last, of which there are none without a force"]
+            return ["resistance: acts only in lasting contacts, and there are none without a force"]
         return []
 
 

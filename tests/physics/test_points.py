@@ -187,7 +187,7 @@ def test_nobody_is_simulated(effects, integrator):
 
 
 @pytest.mark.parametrize(
-    ("step", "end", "told"), [(0.3, 1.0, "t = 0.9, after 3"), (3.0, 1.0, "t = 0, after 0"), (0.1, 1.0, None)]
+    ("step", "end", "told"), [(0.3, 1.0, "t = 0.9, after step 3"), (3.0, 1.0, "t = 0, after step 0"), (0.1, 1.0, None)]
 )
 def test_an_end_between_two_steps_is_named(step, end, told):
     sim = Simulation(Scene(dimension=1, time={"step": step, "end": end}, particles=[{"position": [[0.0]]}]))

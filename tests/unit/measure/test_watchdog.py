@@ -38,7 +38,7 @@ def outside(p):
 
 FAULTS = [
     (lose, "lost: particle 7"),
-    (double, "lost: particle 7; there more than once: 8 on ranks 0"),
+    (double, "lost: particle 7; present more than once: 8 on ranks 0"),
     (nan, "particle 3 on rank 0 has a position or velocity that is not finite"),
     (outside, r"particle 5 on rank 0 is beyond wall \d, at \(3, -0.1\)"),
 ]
