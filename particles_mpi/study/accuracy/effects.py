@@ -16,7 +16,7 @@ N, QUICK_N, STEP, STEPS = 100_000, 20_000, 1e-3, 1000
 BITS_N, BITS_STEPS = 300, 40  # particles and steps for the comparison of bits
 COMPARISONS, QUICK_COMPARISONS = 41, 11  # samples by turns, to see a per cent, or a few
 COMPARISON_SECONDS = 0.02  # of a sample
-REFERENCE = "itself: the same scene without the effect, the same step without what is about other effects"
+REFERENCE = "the program itself: the same scene without the effect; the same step without any code for other effects"
 ACTIVE: dict[str, dict[str, Any]] = {  # each alone, or with what it needs
     "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
     "user_acceleration": {},
@@ -36,7 +36,7 @@ INERT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # effects, and what
 ERRORS = {
     "calls": "calls of all effects that the scene does not name, over the whole run",
     "messages": "messages between ranks in the steps",
-    "bits": "numbers that differ when the effect is named with a coefficient of 0, of a run without it",
+    "bits": "numbers that differ between a run that names the effect with a coefficient of 0 and a run without it",
 }
 
 
@@ -132,10 +132,10 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
     absent, differ = (sum(row.errors[name] for row in found.rows) for name in ("calls", "bits"))
     found.answers = [
         f"nanoseconds a particle-step: {each}",
-        f"effects not named: {absent:.0f} calls; what is about them takes {middle:.1%} of a step of uniform_gravity (quartiles "
+        f"effects not named: {absent:.0f} calls; code for them takes {middle:.1%} of a step of uniform_gravity (quartiles "
         f"{low:.1%} to {high:.1%})",
-        "all of these cost more than their sum: where forces differ from place to place any two spheres may press one another,"
-        " and contacts that last are looked for among all that are near",
-        f"effects named without strength: {differ:.0f} of all numbers differ from a run without them",
+        "all of these cost more than their sum: where forces differ between positions, any two spheres may press one another,"
+        " and lasting contacts are searched among all near pairs",
+        f"effects named with strength 0: {differ:.0f} of all numbers differ from a run without them",
     ]
     return [found]

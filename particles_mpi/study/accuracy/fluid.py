@@ -23,7 +23,7 @@ PASSES = (10, 3, 1)
 FASTEST_SPEED = 4.8  # thermal speeds: rewind allows steps of one diameter
 KLM = (4.0, 6.0, 2.3647684, -0.8698551, 1.1062803, -1.095049, 0.637614, -0.2279397, 0.1098948, -0.00906797)
 NOISE_FLOOR = 2e-3  # noise of RUN_COLLISIONS collisions of N spheres, one standard deviation or two
-REFERENCE = "Kolafa, Labik and Malijevsky (2004): Z within 5e-4; event, which has no error of the step, beside it"
+REFERENCE = "Kolafa, Labik and Malijevsky (2004): Z within 5e-4; and mode event, which has no error of the step"
 ERRORS = {
     "collision rate": "|Gamma/Gamma_exact - 1|, collisions of a sphere in unit time",
     "Z - 1": "|(Z - 1)/(Z_exact - 1) - 1|, Z by the virial",
@@ -102,7 +102,7 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
             f"packing {packing:g}: event is exact and takes {seconds:.2g} s; the fastest rewind whose error in the rate is "
             f"hidden by noise: {best.setting.curve} at Gamma dt = {best.setting.parameter:g}, {best.seconds.median:.2g} s"
             if best
-            else f"packing {packing:g}: no setting of rewind is as right as event, {seconds:.2g} s"
+            else f"packing {packing:g}: no setting of rewind is as accurate as event, which takes {seconds:.2g} s"
         )
         all_found.append(found)
     return all_found

@@ -21,7 +21,7 @@ STEPS, QUICK_STEPS = (2, 4, 16, 64, 256), (8, 16, 32, 64)
 REPEATS = 200  # particles alike, so that a run is no mere overhead
 STIFF_DRAG = 20.0 / DURATION  # rate of the stiff drag
 BOUNCE_STEPS = (0.01, 0.005, 0.0025, 0.00125)  # steps
-ERRORS = {"place": f"distance from the true place at t = {DURATION:g}", "velocity": "the same of the velocity"}
+ERRORS = {"place": f"distance from the true position at t = {DURATION:g}", "velocity": "the same of the velocity"}
 
 
 def thrown(drag: float, t: float = DURATION) -> tuple[Array, Array]:
@@ -79,7 +79,7 @@ def throws(benchmark: Benchmark) -> list[Experiment]:
     sideways, friction = (THROW[0], 0.0), {"friction": {"strength": G}}
     rubbed = throw(benchmark, "G3", "Throw with friction", sideways, friction, sliding(), order_8, ("leapfrog",))
     most = max(row.errors["velocity"] for row in weak.curve("leapfrog"))
-    weak.answers.append(f"leapfrog has the velocity right at any step: error <= {most:.0e}")
+    weak.answers.append(f"leapfrog has the right velocity with any step: error <= {most:.0e}")
     exact, explicit = (stiff.curve(name)[0] for name in ("leapfrog", "taylor"))
     stiff.answers.append(
         f"at k h = {STIFF_DRAG * explicit.setting.parameter:.3g} taylor is wrong by {explicit.errors['velocity']:.1g} in "
@@ -108,7 +108,9 @@ def bouncing(benchmark: Benchmark) -> list[Experiment]:
     """G4: contacts at any moment of a step. Collective."""
     steps, forces = (BOUNCE_STEPS[:2], FORCES[:3]) if benchmark.quick else (BOUNCE_STEPS, FORCES)
     tried = [bounce(benchmark, *with_) for with_ in product(forces, LOSSES, (("none", "drag"), ("friction",)), steps)]
-    errors = {name: f"distance from the true place after a second, mean over the phases of a step: {name}" for name in OBSTACLES}
+    errors = {
+        name: f"distance from the true position after a second, mean over the phases of a step: {name}" for name in OBSTACLES
+    }
     reference = "Runge-Kutta of order 4 from contact to contact"
     found = benchmark.compare("G4", "Bounces", tried, errors, reference, slopes=(2.0,), floor=1e-9)
     orders = [slope(found.curve(curve), name) for curve in found.curves for name in OBSTACLES]

@@ -12,7 +12,10 @@ from particles_mpi.study.experiment import ENDLESS_STEPS, Benchmark, Errors, Exp
 
 E, ORBITS = 0.5, 100
 ENERGY_SAMPLES = 2000  # moments of a run at which the energy is measured
-ERRORS = {"energy": "largest |dE/E| of the run", "place": "distance at the end from the true place, over the size of the orbit"}
+ERRORS = {
+    "energy": "largest |dE/E| of the run",
+    "place": "distance at the end from the true position, over the size of the orbit",
+}
 PLANET = {  # at the pericentre, without mass; and a sun
     "position": [[1.0 - E, 0.0], [0.0, 0.0]],
     "velocity": [[0.0, sqrt((1 + E) / (1 - E))], [0.0, 0.0]],
@@ -125,7 +128,7 @@ def regular_orbits(benchmark: Benchmark) -> list[Experiment]:
 
     kepler = settings(benchmark, PLANET, REGULAR_LADDER[benchmark.quick], 2.0 * pi, orbits, 2, of_planet)
     eight = settings(benchmark, EIGHT, REGULAR_LADDER[benchmark.quick], PERIOD, 1, 2, of_eight)
-    exact = "exact: after one period all are where they were (figures of Chenciner and Montgomery 2000)"
+    exact = "exact: after one period all bodies are back at their start (figures of Chenciner and Montgomery 2000)"
     problems = (
         ("A1", f"Kepler, e = 0.5, {orbits} orbits", kepler, ERRORS, "exact: Kepler's equation"),
         ("A2", "Figure eight, one period", eight, ERRORS, exact),
@@ -151,7 +154,7 @@ def close_encounters(benchmark: Benchmark) -> list[Experiment]:
         return found | {"energy": abs(sim.measure()["total_energy"] / start - 1.0)}
 
     tried = settings(benchmark, PYTHAGOREAN, CLOSE_LADDER[benchmark.quick], LAST_MOMENT, 1, 200, errors)
-    title, reference = "Pythagorean problem, t = 20", "published: twelve digits of two places"
+    title, reference = "Pythagorean problem, t = 20", "published: twelve digits of two positions"
     found = benchmark.compare("B", title, tried, ENCOUNTER_ERRORS, reference, floor=1e-12, **PLOT)
     fixed = [row for row in found.rows if row.setting.curve != "adaptive"]
     best, chosen = (min(some, key=lambda r: r.errors[LATE_PLACE]) for some in (fixed, found.curve("adaptive")))

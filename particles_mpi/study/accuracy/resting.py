@@ -14,9 +14,9 @@ N, QUICK_N, STEP, SETTLING_STEPS = 2000, 600, 0.005, 400  # spheres; steps in wh
 STEPS, QUICK_STEPS = 400, 60  # that are measured
 R, G, LAYERS = 0.05, 9.81, 8.0
 ERRORS = {
-    "height": "how much higher or lower the mean sphere lies in the end, in radii",
-    "speed": "root mean square of speeds in the end, in what gravity gives in a step",
-    "overlap": "deepest, in radii",
+    "height": "change of the mean height of the spheres at the end, in radii",
+    "speed": "root mean square of the speeds at the end, in units of the speed that gravity gives in a step",
+    "overlap": "deepest overlap, in radii",
     "energy": "largest rise of the total energy from one row to the next, in the weight of the bed times R",
 }
 
@@ -74,7 +74,7 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
     first, default, last = found.rows[0], found.rows[2], found.rows[-1]
     longer = (last.seconds.median / first.seconds.median) ** (1.0 / (len(found.rows) - 1))
     found.answers = [
-        f"ten times as exact takes {longer:.1f} times as long; heights differ as tolerance^{slope(found.rows, 'height'):.1f}",
+        f"a tenth of the tolerance takes {longer:.1f} times as long; heights go as tolerance^{slope(found.rows, 'height'):.1f}",
         f"the default, {TOLERANCES[2]:g}: height within {default.errors['height']:.1e} R",
     ]
     return [found]

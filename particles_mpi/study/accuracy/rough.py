@@ -20,12 +20,15 @@ SLOPE = 10.0 * pi / 180.0  # slope of the bed: less than what a heap has
 SETTLING_TIME, MEASURED_TIME, QUICK_MEASURED_TIME = 2.0, 2.0, 0.2  # seconds in which it settles, and those that are measured
 STEP, TOLERANCE = 0.005, 1e-4
 STEPS, TOLERANCES = (0.01, 0.005, 0.0025), (1e-2, 1e-3, 1e-4, 1e-5)
-ROLLING = {"place": f"distance from the true place at t = {ROLL_TIME:g}, root mean square", "speed": "the same of the velocity"}
+ROLLING = {
+    "place": f"distance from the true position at t = {ROLL_TIME:g}, root mean square",
+    "speed": "the same of the velocity",
+}
 LOOSE_WAY = 0.1  # radii: more than contacts give way
 CREEP = {
-    "creep": "how far the spheres move on, the median, in radii a second",
+    "creep": "median of how far the spheres still move, in radii per second",
     "loose": f"part of the spheres that move by more than {LOOSE_WAY:g} R in all",
-    "energy": "how much energy comes or goes, in the weight of the bed times R, a second",
+    "energy": "how fast the energy changes, in the weight of the bed times R per second",
 }
 
 
@@ -56,7 +59,7 @@ def rolling(benchmark: Benchmark) -> list[Experiment]:
     found = benchmark.compare("J1", f"{BALLS} balls slide, then roll", tried, ROLLING, "exact", slopes=(1.0, 2.0), floor=1e-12)
     orders = ", ".join(f"{curve} {slope(found.curve(curve), 'place'):.2f}" for curve in found.curves)
     most = max(row.errors["speed"] for row in found.rows)
-    found.answers = [f"order in place: {orders}", f"once they roll the speed is right at any step: within {most:.0e}"]
+    found.answers = [f"order in place: {orders}", f"once they roll, the speed is right with any step: within {most:.0e}"]
     return [found]
 
 
@@ -99,7 +102,7 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
         for step, tolerance in settings:
             value = step if parameter == "step" else tolerance
             tried.append(benchmark.setting("event", value, rough_bed(n, step, watched, tolerance, settled(step)), errors))
-        title = f"A bed of {n} rough spheres that has settled on a slope with that step, {watched:g} s more, by {parameter}"
+        title = f"A bed of {n} rough spheres on a slope, settled with the same step, {watched:g} s more, by {parameter}"
         found = benchmark.compare(key, title, tried, CREEP, "rest", parameter)
         creep, longer = [row.errors["creep"] for row in found.rows], found.rows[-1].seconds.median / found.rows[0].seconds.median
         found.answers = [

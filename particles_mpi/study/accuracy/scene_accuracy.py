@@ -15,7 +15,7 @@ from particles_mpi.study.recommend.search import BUDGET_SECONDS, Search, time_tr
 STEP_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
 INVERSE_TOLERANCES = (1e3, 1e5, 1e7, 1e9)  # of `adaptive`, inverse
 MEANING = {
-    "state": "largest distance of any particle from its place, at up to 16 moments of the run, over the size of the motion",
+    "state": "largest distance of any particle from its true position, at up to 16 times of the run, over the size of the motion",
     "energy": "largest relative error of the energy of the run",
 }
 
@@ -29,7 +29,7 @@ def settings(start: Start) -> Experiment:
     """Errors of each integrator, mode or angle over a ladder of steps, in BUDGET_SECONDS; times then take as long again."""
     quick, metric = start.benchmark.quick, reference(start, BUDGET_SECONDS)
     if not metric.limits:
-        raise SceneError("particles: nothing in this scene has an error")
+        raise SceneError("particles: nothing in this scene has an error that could be measured")
     error, limit = next(iter(metric.limits.items()))  # the most telling
     search = Search(start, metric, {error: 1.0}, 2.0 * BUDGET_SECONDS / 3.0)
     steps = [k * max(start.scene.steps, 4) for k in (STEP_FACTORS[1:4] if quick else STEP_FACTORS)]
@@ -37,7 +37,7 @@ def settings(start: Start) -> Experiment:
     for method in methods(start):
         for resolution in INVERSE_TOLERANCES[:: 2 if quick else 1] if method.adaptive else steps:
             if search.left() < 0.0:
-                search.refused[method.name] = f"not measured further: {BUDGET_SECONDS:.0f} s are over"
+                search.refused[method.name] = f"no further steps measured: the {BUDGET_SECONDS:.0f} s are used up"
                 break
             search.attempt(method, resolution, search.left())
     rows = time_trials(start, [trial for trial in search.trials if not any(map(isnan, trial.errors.values()))])
@@ -65,8 +65,8 @@ def effects(start: Start) -> Experiment:
             continue
         curve = f"without {name}" if name else "all effects"
         tried.append(Setting(curve, scene.time.step, begin, steps, lambda sim: {"share": nan}, seconds_of=1))
-    answers.append("an effect that is switched off changes the motion too: shares need not add up to 1")
-    errors = {"share": "of the seconds of a step that go when the effect does"}
+    answers.append("switching an effect off also changes the motion, so shares need not add up to 1")
+    errors = {"share": "share of the seconds of a step that is saved without the effect"}
     title, reference = f"What each effect costs a step: {scene.title or 'the scene'}", "the scene with all its effects"
     found = start.benchmark.compare("H", title, tried, errors, reference, answers=answers)
     for row in found.rows:

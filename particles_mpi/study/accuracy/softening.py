@@ -22,7 +22,7 @@ SOFTENINGS, ORBIT_STEPS = (0.0, 1e-3, 1e-2), (500, 2000, 8000)  # softening, of 
 ENCOUNTER_SOFTENING = 0.1  # for the closer encounter
 TOLERANCES = 1e-11, 1e-6  # of the converged softened orbit, and of one to see that it is converged
 ORBIT = {
-    "total": "distance at the end from the place of the planet without softening, in semi-major axes",
+    "total": "distance at the end from the position of the planet without softening, in semi-major axes",
     "model": "that of the softened orbit, without an error of the integrator",
     "numerical": "distance of leapfrog from that softened orbit",
 }
@@ -33,7 +33,7 @@ FIELD_SOFTENINGS = (0.01, 0.03, 0.1, 0.3)  # softening, of the scale length
 FIELD = {
     "total": "root mean square of the force's error over that of the force of the smooth sphere",
     "model": "bias: that of the smooth sphere, softened",
-    "numerical": "noise: what differs from one drawn sphere to another",
+    "numerical": "noise: the difference between spheres drawn at random",
 }
 
 

@@ -149,7 +149,7 @@ def chosen(only: str | None, full: bool) -> list[Case]:
     parts = (only or "").lower().split("|")
     cases = [one for one in catalogue() if any(part in one.name.lower() for part in parts)]
     if not cases:
-        raise SceneError(f"--only: no case has {only!r} in its name; there are: " + "; ".join(c.name for c in catalogue()))
+        raise SceneError(f"--only: no case has {only!r} in its name; the cases are: " + "; ".join(c.name for c in catalogue()))
     return [one for one in cases if full or only is not None or not one.long]
 
 
@@ -174,7 +174,11 @@ def study_hard_cases(only: str | None, full: bool, into: Path | None) -> bool:
         rows.append(about | outcome._asdict())
     screen.stop()
     passed = sum(row["holds"] and row["same_bits"] is not False for row in rows)
-    bits = f", each with the bits of one rank on {ranks.size}" if ranks.size > 1 else "; bits are compared under mpirun only"
+    bits = (
+        f", each with the same bits on {ranks.size} ranks as on one"
+        if ranks.size > 1
+        else "; bits are compared only under mpirun"
+    )
     screen.say(f"{passed} of {len(rows)} hold{bits}")
     if into:
         make_folder(ranks, into.parent)

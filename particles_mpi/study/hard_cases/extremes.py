@@ -68,7 +68,7 @@ def grid(run: CaseRun, axis: Any) -> Array:
     return np.stack(np.meshgrid(*[axis] * run.dimension, indexing="ij"), axis=-1).reshape(-1, run.dimension)
 
 
-@case("on borders and corners of domains", "owned twice, or by nobody", MUST)
+@case("on borders and corners of domains", "owned by two ranks, or by none", MUST)
 def on_borders(run: CaseRun) -> Finding:
     """A lattice symmetric about all borders of 2, 4, 8 ranks, and spheres at rest exactly on these."""
     lattice, corners = grid(run, np.arange(1.0, 16.0, 2.0)), grid(run, [4.0, 8.0, 12.0])

@@ -98,7 +98,7 @@ class ErrorMetric:
         first = error or next(iter(self.limits), "")
         if first not in self.limits:
             there = "; ".join(self.limits) or "none"
-            raise SceneError(f"--error {error or 'any'}: cannot be measured here ({self.why}); there are: {there}")
+            raise SceneError(f"--error {error or 'any'}: cannot be measured here ({self.why}); use one of: {there}")
         finest = {name: limit / self.share(name) for name, limit in self.limits.items()}
         if tolerance < finest[first]:
             finer = [f"{name} {limit:.1g}" for name, limit in finest.items() if name != first]

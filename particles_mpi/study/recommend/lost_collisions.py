@@ -23,13 +23,13 @@ class BesideEvent(NamedTuple):
     def __str__(self) -> str:
         """The share that is lost, as far as chance lets it be seen: N collisions scatter by less than the root of N."""
         if not self.steps:
-            return "not measured, a step takes too long, or mode event refuses the scene"
+            return "not measured, because a step takes too long or mode event refuses the scene"
         if not self.exact:
-            return f"nothing collides in the first {self.steps} steps"
+            return f"no collision in the first {self.steps} steps"
         if self.same == self.exact:
-            return f"none of the {self.exact} collisions of the first {self.steps} steps is lost, beside mode event"
+            return f"none of the {self.exact} collisions of the first {self.steps} steps is lost, compared with mode event"
         noise, lost = 2.0 / sqrt(self.exact), 1.0 - self.found / self.exact
-        beside = f"of their rate over {self.steps} steps, beside mode event"
+        beside = f"of their rate over {self.steps} steps, compared with mode event"
         if lost > noise:
             return f"collisions are lost, about {lost:.1g} {beside}"
         if not self.same:

@@ -66,7 +66,7 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
     """
     scene, ranks = sim.scene, sim.ranks
     if not sim.total or not scene.steps:
-        return Prediction(None, ["predicted: nothing happens"])
+        return Prediction(None, ["predicted: nothing happens in this run"])
     try:
         start, first, began = sim.copy() if sim.total <= MOST_TO_REPEAT else None, sim.measure(), perf_counter()
         forecast = rehearse(sim)
@@ -99,7 +99,7 @@ def rehearse(sim: Simulation) -> Forecast:
         job.run()
     forecast: Forecast | None = ranks.bcast(job.forecast)
     if forecast is None:
-        raise Interrupted("stopped before anything could be predicted")
+        raise Interrupted("stopped before the prediction was complete")
     return forecast
 
 
@@ -154,19 +154,19 @@ def predict_contacts(sim: Simulation, benchmark: Benchmark, step: float) -> list
     active = sim.active
     forced = active.forces or active.on_velocities or active.events
     if rate == 0.0:
-        return ["predicted error: nothing collides in the first steps"]
+        return ["predicted error: no collision in the first steps"]
     if options.mode == "event":
-        order = "a user's flow between them is first order" if active.flows else "forces between them are second order"
+        order = "in a user's flow they are first order" if active.flows else "the motion between them is second order"
         what = f"; {order} in the step" if forced else ""
         lines = [f"predicted error: contacts are exact in mode event{what}"]
     else:
-        lines = [f"predicted error: {compared} (a particle has {rate * h:.2g} in a step, passes {options.passes})"]
+        lines = [f"predicted error: {compared} ({rate * h:.2g} collisions per particle in a step, passes {options.passes})"]
     many = rate * scene.steps * h
     orderly = scene.dimension == 1 and not forced  # spheres on a line hand their velocities on: errors grow as the time only
     if many > CHAOS_AFTER and not orderly:
         lines.append(
-            f"chaos: {many:.0f} collisions of a particle in all, at the rate of the first steps; after about {CHAOS_AFTER:.0f}, "
-            f"t = {CHAOS_AFTER / rate:.2g}, places mean nothing, means over many do"
+            f"chaos: {many:.0f} collisions per particle in all, at the rate of the first steps; after about {CHAOS_AFTER:.0f}, "
+            f"t = {CHAOS_AFTER / rate:.2g}, positions mean nothing, only averages over many particles do"
         )
     return lines
 
@@ -191,7 +191,7 @@ def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
     adaptive = scene.time.integrator == "adaptive"
     runs, steps = 1 + 1 if adaptive else 1 + 2 + 4, LEAST_SNAPSHOTS  # at h, h/2 and h/4
     if 2.0 * runs * steps * step > MOST_ERROR_SECONDS:  # snapshots cost as much as steps
-        return ["predicted error: not measured, a step takes too long; study recommend tells"]
+        return ["predicted error: not measured, because a step takes too long; use study recommend"]
     start = Start(benchmark, scene)
     while True:
         snapshots = start.snapshots(steps / scene.steps)
@@ -211,10 +211,10 @@ def error_of_tree(start: Start, record: Record, steps: int) -> str:
     if not (gravity and gravity.active and gravity.choice(start.scene, start.total).angle):
         return ""
     if start.total > MOST_FOR_DIRECT_SUM:
-        return "; the error of the tree comes on top of it"
+        return "; the error of the tree is added to it"
     snapshots = len(record.places)
     exact = follow(start, start.simulate(refined(start.scene, steps, 0, DIRECT)), snapshots)
-    return f"; by the tree, {start.apart(record.places, exact.places) / record.motion:.1g} more"
+    return f"; the tree adds {start.apart(record.places, exact.places) / record.motion:.1g}"
 
 
 def refined(scene: Scene, steps: int, halvings: int, effects: Changes | None = None) -> Scene:
@@ -238,22 +238,24 @@ def describe_differences(start: Start, records: list[Record], span: float) -> st
     size, where = records[0].motion, f"t = {span:.3g}"
     one, *finer = (start.apart(a.places, b.places) / size for a, b in pairwise(records))
     if start.scene.time.integrator == "adaptive":
-        return f"predicted error: places {max(one, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"
+        return (
+            f"predicted error: positions {max(one, ROUND_OFF):.1g} of the size of the motion at {where}, from a tighter tolerance"
+        )
     (two,) = finer
-    later = "later ones are not measured" if span <= 0.99 * start.duration else ""
+    later = "not measured later" if span <= 0.99 * start.duration else ""
     left_out = start.untravelled(span / records[0].steps) / size
     largest = float(np.abs(records[0].places).max(initial=0.0))
     round_off = max(1e3, records[-1].steps * largest / size) * ROUND_OFF
     if left_out > max(one, two):
-        stops = f"places {left_out:.1g} of the size of the motion, for drag stops particles within a step"
+        stops = f"positions {left_out:.1g} of the size of the motion, because drag stops particles within a step"
         return f"predicted error: {stops}" + (f" ({later})" if later else "")
     if one <= two or two <= 100.0 * ROUND_OFF or max(one, two) <= 1e3 * ROUND_OFF:
-        coarse = f"about {max(one, two):.1g} of the size of the motion, of no order: steps are too long"
+        coarse = f"about {max(one, two):.1g} of the size of the motion, without an order: steps are too long"
         what = "round-off only" if max(one, two) <= round_off else coarse
-        return f"predicted error: places at {where}: {what}" + (f" ({later})" if later else "")
+        return f"predicted error: positions at {where}: {what}" + (f" ({later})" if later else "")
     order = log2(one / two)
     error = one * 2.0**order / (2.0**order - 1.0)
-    line = f"predicted error: places {error:.1g} of the size of the motion at {where}, order {order:.1f}"
+    line = f"predicted error: positions {error:.1g} of the size of the motion at {where}, order {order:.1f}"
     if later:
         line += f" ({later}: {error * start.duration / span:.1g} at the end if errors grow evenly)"
     if start.conserves and start.forces:

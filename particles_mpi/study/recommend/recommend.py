@@ -97,7 +97,7 @@ def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommen
         if confirmed and (best is None or confirmed[0].timed.median < best[0].timed.median):
             best = confirmed
     if best is None:
-        raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only: half the step does not confirm " + dropped[0])
+        raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only, half the step does not confirm it: " + dropped[0])
     trial, finer, difference = best
     tables = tuned(start.scene, trial.scene, trial.method.whole_steps(trial.resolution, metric.part))
     return Recommendation(tolerance, trial, tables, finer.errors, difference, [trial, *left], dropped, search)
@@ -129,17 +129,17 @@ def report(screen: Screen, found: Recommendation) -> None:
     finest = ", ".join(f"{name} {metric.limits[name]:.1g}" for name in search.tolerances)
     say(f"  reference: {metric.reference}; the smallest errors that can be measured: {finest} ({metric.why})")
     if left_out := [f"{name} {limit:.1g}" for name, limit in metric.limits.items() if name not in search.tolerances]:
-        say(f"  no tolerance for what was not asked for, or cannot be measured so finely: {', '.join(left_out)}")
+        say(f"  not compared with the tolerance (not asked for, or not measurable so finely): {', '.join(left_out)}")
     if metric.part < 1.0:
         say(
-            f": a reference of all of it would take too long; {search.described(search.tolerances)} there are enough",
+            f": a reference for the whole run would take too long; there errors must be within {search.described(search.tolerances)}",
             head=f"  errors are those of the first 1/{1 / metric.part:.0f} of the run (t = {metric.span:.4g})",
         )
     screen.table(trials_table(found))
     for name, why in found.search.refused.items():
         say(f"  {name}: {why}")
     for name in found.dropped:
-        say(f"  {name}: reaches it at the snapshots, or by chance: half the step does not confirm it")
+        say(f"  {name}: not confirmed at half the step: reaches it only at the snapshots, or by chance")
     steps = method.whole_steps(trial.resolution, metric.part)
     finer, tolerance = "half the step", ""
     if method.adaptive:
@@ -152,7 +152,9 @@ def report(screen: Screen, found: Recommendation) -> None:
     differ = f"{found.difference:.2g} at most" + (", in every step" if search.places else "")
     say(f"  verified at {finer}: {search.described(found.half)}; the two runs differ by {differ}")
     if metric.part < 1.0:
-        say(f"  not verified after t = {metric.span:.4g}: errors may grow faster there; --seconds gives time for more of the run")
+        say(
+            f"  not verified after t = {metric.span:.4g}: errors may grow faster there; a larger --seconds covers more of the run"
+        )
 
 
 def trials_table(found: Recommendation) -> Table:
@@ -175,7 +177,7 @@ def recommend_scene(
     benchmark, target = Benchmark(quiet=False), output or path.with_suffix(".tuned.toml")
     scene = load(path)
     if target.resolve() == path.resolve():
-        raise SceneError(f"--output {target}: is the scene itself")
+        raise SceneError(f"--output {target}: is the scene file itself; choose another file")
     found = recommend(benchmark, scene, tolerance, error, seconds)
     if found:
         report(benchmark.screen, found)

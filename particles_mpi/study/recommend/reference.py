@@ -50,7 +50,7 @@ def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
     `error`: the only one that matters; the energy of the start needs no better solution.
     """
     if start.total == 0 or start.scene.steps == 0:
-        raise SceneError("particles: nothing moves in this scene: there is nothing to measure")
+        raise SceneError("particles: nothing moves in this scene, so there is nothing to measure")
     seconds = REFERENCE_SHARE * seconds
     if start.conserves and not start.contacts and start.forces and (error == "energy" or start.total > MOST_FOR_DIRECT_SUM):
         return by_conserved_energy(start, seconds)
@@ -172,7 +172,7 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
     one, two = (start.apart(a.places, b.places) for a, b in pairwise(records[:3]))
     has_order = min(one, two) > limit
     found.order = float(np.log2(one / two)) if has_order else nan
-    seen = f"order {found.order:.2f}" if has_order else "no error of the step"
+    seen = f"order {found.order:.2f}" if has_order else "the step makes no error"
     found.reference = f"{method_in_words(start)}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"
     before, after = (float(np.abs(new - old).max(initial=0.0)) for old, new in pairwise(column[-3:]))
     if after > NOISE * limit and before < after * 2.0**LEAST_ORDER:  # not of second order: the rest is a series of such changes
@@ -258,5 +258,5 @@ def by_ensemble(found: ErrorMetric, first: Record, steps: int, fine: int) -> Err
         found.add_energy(first)
     found.reference = f"{method_in_words(start)}, steps of 1/{fine}, mean of {members} runs"
     why = found.why or "chaos"
-    found.why = f"{why}: {members} runs from starts {ENSEMBLE_DISPLACEMENT:g} apart differ by so much"
+    found.why = f"{why}: {members} runs from starts {ENSEMBLE_DISPLACEMENT:g} apart differ by that"
     return found

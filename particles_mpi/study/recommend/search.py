@@ -126,7 +126,7 @@ class Search:
         except (SceneError, StoppedError) as error:
             await_all(self.start.benchmark.ranks, error)
             self.too_long = isinstance(error, TooLongError)
-            why = "dearer than others, or no time left" if self.too_long else str(error).splitlines()[0]
+            why = "more expensive than others, or no time left" if self.too_long else str(error).splitlines()[0]
             self.refused[f"{method.name}, {method.describe(resolution, self.metric.part)}"] = why
             return None
         work = {kind: count - before[kind] for kind, count in sim.work().items()}
@@ -161,7 +161,7 @@ class Search:
         """May a finer setting than these two help and still be the cheapest, and is there time for it?"""
         why = ""
         if fine and coarse and self.size(fine.errors) * LEAST_GAIN > self.size(coarse.errors) and self.size(coarse.errors) < 0.1:
-            why = f"no better by shorter steps than {self.described(fine.errors)}"
+            why = f"shorter steps get no better than {self.described(fine.errors)}"
         elif method.adaptive and resolution > FINEST * 1.01:
             why = f"reaches no better than tolerance {1.0 / FINEST:.0e}"
         elif fine is None:
@@ -170,7 +170,7 @@ class Search:
         else:
             seconds = fine.seconds * (1.0 if method.adaptive else method.ratio)
             if seconds > max(GIVEN_UP_FACTOR * self.best, NEGLIGIBLE_SECONDS) or seconds > self.left():
-                why = "dearer than others" if isfinite(self.best) else "no time to try shorter steps"
+                why = "more expensive than others" if isfinite(self.best) else "no time to try shorter steps"
         if why:
             self.refused[method.name] = why
         return not why

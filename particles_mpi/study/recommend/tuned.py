@@ -44,7 +44,7 @@ def written(tables: Tables, source: Path, target: Path, remark: str) -> str:
     except (TOMLKitError, SceneError):
         faithful = False
     if not faithful:
-        raise SceneError(f"{target}: the tuned scene does not come back as it should")
+        raise SceneError(f"{target}: the tuned scene is not the same when it is read again; nothing was written")
     return f"# {remark}\n{text}"
 
 
