@@ -36,7 +36,9 @@ def outlook(scene: Scene) -> Outlook:
     if effects.forces and effects.pairs:
         if prod(effects.pairs.loss) < HEAPING:
             return Outlook(1.0 / TRUST, 10.0, "forces make particles pile up, and later lasting contacts are not included")
-        return Outlook(1.0 / TRUST, 4.0, "forces make particles faster and denser, and later contacts are not included")
+        return Outlook(
+            1.0 / TRUST, 4.0, "forces make particles faster and crowd them together, and later contacts are not included"
+        )
     if effects.keeps_contacts:
         return Outlook(1.0 / TRUST, 3.0, "falling particles come to rest, and later lasting contacts are not included")
     return Outlook()

@@ -78,7 +78,7 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
     if "collisions" in active and 0.0 < radius < inf and speed > 0.0:
         share = speed * h / (2.0 * radius)
         crossed, event = f"crosses {share:.2g} of the smallest diameter in a step", active["collisions"].mode == "event"
-        lines.append(f"step: the fastest particle {crossed}{' (any number is allowed)' if event else ' (at most 1)'}")
+        lines.append(f"step: the fastest particle {crossed}{' (any number is allowed)' if event else ' (at most 1 is allowed)'}")
         if event:
             lines.append("step: mode event takes about 2 us for each contact, whatever the step: longer steps cost less")
     effects = ActiveEffects(scene)

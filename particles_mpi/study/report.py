@@ -24,8 +24,8 @@ LARGEST_FACTOR = 100.0  # for a tenth of the error: with a larger one a curve do
 WORK_TITLES = {"forces": "forces", "interactions": "pairs", "pair_tests": "tests", "events": "contacts"}  # by kind of work
 TENFOLD = "what ten times more accuracy costs"
 METHOD = """Times: one warm-up, then the median of {samples} samples of at least {least_seconds:g} s (± half the distance of the
-quartiles), settings by turns, the slowest rank, without output and compilation. Errors are the same to the bit each time and on
-any number of ranks. Rows on the Pareto front (nothing is both faster and more accurate) are marked."""
+quartiles), measured for the settings in turn, on the slowest rank, without output and compilation. Errors are the same to the bit
+each time and on any number of ranks. Rows on the Pareto front (nothing is both faster and more accurate) are marked."""
 PAGE_STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1a202c }
 h1 { font-size: 1.7rem } h2 { margin-top: 2.6rem; border-bottom: 1px solid #ddd }

@@ -31,7 +31,7 @@ def deepest_overlap(sim: Simulation) -> float:
     return float(max(walls, (p.radius[a] + p.radius[b] - apart).max(initial=-np.inf)) / p.radius.mean())
 
 
-@case("resting ball, e = 0, 0.5, 0.9", "bounces for ever, sinks, or gets warm", "kinetic energy exactly 0, energy never rises")
+@case("resting ball, e = 0, 0.5, 0.9", "bounces for ever, sinks, or gains energy", "kinetic energy exactly 0, energy never rises")
 def ball(run: CaseRun) -> Finding:
     """A ball falls and comes to rest."""
     left, risen = [], -np.inf

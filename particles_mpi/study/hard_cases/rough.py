@@ -105,7 +105,7 @@ def mass_ratios(run: CaseRun) -> Finding:
 
 @case(
     "a ball that spins in a groove of 90 degrees",
-    "climbs, or gets warm, as each wall drags it onto the other",
+    "climbs, or gains energy, as each wall drags it onto the other",
     "d spin/dt = -sqrt(2) mu g m R/((1 + mu^2) I), in its place, down to exactly 0",
 )
 def spinning_in_a_groove(run: CaseRun) -> Finding:
@@ -128,7 +128,7 @@ def spinning_in_a_groove(run: CaseRun) -> Finding:
 
 @case(
     "a ball rolls or slides down a groove of 90 degrees",
-    "it rolls on its radius, or both contacts share badly",
+    "rolls on its radius, or both contacts share its weight badly",
     "rolls on R cos 45 with g sin/1.8 up to tan = 3.18 mu, slides above 3.34 mu with g sin - sqrt(2) mu g cos",
     dimensions=(3,),
 )

@@ -33,7 +33,7 @@ class BesideEvent(NamedTuple):
         if lost > noise:
             return f"collisions are lost, about {lost:.1g} {beside}"
         if not self.same:
-            return f"less than {noise:.1g} of the collisions are lost, as far as {self.exact} in {self.steps} steps can tell"
+            return f"less than {noise:.1g} of the collisions are lost: {self.exact} in {self.steps} steps can show no more"
         return f"none of the first {self.same} collisions is lost, and less than {noise:.1g} {beside}"
 
 

@@ -238,16 +238,15 @@ def describe_differences(start: Start, records: list[Record], span: float) -> st
     size, where = records[0].motion, f"t = {span:.3g}"
     one, *finer = (start.apart(a.places, b.places) / size for a, b in pairwise(records))
     if start.scene.time.integrator == "adaptive":
-        return (
-            f"predicted error: positions {max(one, ROUND_OFF):.1g} of the size of the motion at {where}, from a tighter tolerance"
-        )
+        wrong = f"positions wrong by {max(one, ROUND_OFF):.1g} of the size of the motion at {where}"
+        return f"predicted error: {wrong}, as a tighter tolerance shows"
     (two,) = finer
     later = "not measured later" if span <= 0.99 * start.duration else ""
     left_out = start.untravelled(span / records[0].steps) / size
     largest = float(np.abs(records[0].places).max(initial=0.0))
     round_off = max(1e3, records[-1].steps * largest / size) * ROUND_OFF
     if left_out > max(one, two):
-        stops = f"positions {left_out:.1g} of the size of the motion, because drag stops particles within a step"
+        stops = f"positions wrong by {left_out:.1g} of the size of the motion, because drag stops particles within a step"
         return f"predicted error: {stops}" + (f" ({later})" if later else "")
     if one <= two or two <= 100.0 * ROUND_OFF or max(one, two) <= 1e3 * ROUND_OFF:
         coarse = f"about {max(one, two):.1g} of the size of the motion, without an order: steps are too long"
@@ -255,7 +254,7 @@ def describe_differences(start: Start, records: list[Record], span: float) -> st
         return f"predicted error: positions at {where}: {what}" + (f" ({later})" if later else "")
     order = log2(one / two)
     error = one * 2.0**order / (2.0**order - 1.0)
-    line = f"predicted error: positions {error:.1g} of the size of the motion at {where}, order {order:.1f}"
+    line = f"predicted error: positions wrong by {error:.1g} of the size of the motion at {where}, order {order:.1f}"
     if later:
         line += f" ({later}: {error * start.duration / span:.1g} at the end if errors grow evenly)"
     if start.conserves and start.forces:

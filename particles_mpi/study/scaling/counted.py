@@ -44,14 +44,14 @@ COLUMNS = {
     "fetches": "searches", "ghosts": "ghost rows", "memory": "memory, MB", "memory_start": "memory of set-up, MB",
 }  # fmt: skip
 CAUSES = {
-    "bytes_rows": "rows of ghosts or of a tree, and what is sent of each",
-    "bytes_counts": "in every exchange each rank tells all others how many rows come: P - 1 numbers",
-    "bytes_gathers": "each rank sends its box, or what went wrong, to all others: P - 1 times",
+    "bytes_rows": "rows of ghosts or of a tree, and the columns that are sent of each",
+    "bytes_counts": "in every exchange each rank sends the number of rows to come to all others: P - 1 numbers",
+    "bytes_gathers": "each rank sends its box, or an error, to all others: P - 1 times",
     "bytes_reductions": "each number is sent in log2 P stages",
     "messages": "blocks of bisection have more neighbours than those of a regular grid, or ranks send to all",
-    "reductions": "ranks agree more often: of more particles some need more passes, or more windows of time",
+    "reductions": "ranks agree more often: among more particles some need more passes, or more time windows",
     "all_to_alls": "more exchanges of all with all",
-    "fetches": "all search when one of more particles has gone too far",
+    "fetches": "all ranks search as soon as one particle has moved too far, which is sooner among more particles",
     "ghosts": "ghosts come from further away",
     "memory": "more than the rows of the rank and of ghosts: room for messages, entries for each rank, or all particles",
     "memory_start": "more than the particles of the rank: entries for each rank, or all particles",
@@ -165,7 +165,7 @@ def verdict(name: str, points: list[Point], law: Law) -> str:
         return "flat"
     grows = f"from {amount(before)} to {amount(after)} on {last.ranks} ranks"
     if reason and after <= (1.0 + FLAT_WITHIN) * ideal * before:
-        return f"{grows}: as {reason}"
+        return f"{grows}: like {reason}"
     power = f", as P^{log(after / before) / log(last.ranks / first.ranks):.2f}" if before and after else ""
     if name == "bytes":  # of all bytes, the kind that grew most
         name = max(BYTE_COLUMNS, key=lambda kind: last.counts[kind] - first.counts[kind])
@@ -198,11 +198,11 @@ def say_counts(scene: str, curve: Curve, law: Law, screen: Screen) -> None:
     screen.table(table)
     past = [point for point in points if point.ranks >= FLAT_FROM]
     if len(past) < 2:
-        screen.say(f"  which columns are flat, is judged past {FLAT_FROM} ranks")
+        screen.say(f"  which columns are flat is judged only from {FLAT_FROM} ranks on")
         return
     verdicts = {words: verdict(name, past, law) for name, words in COLUMNS.items()}
     flat = [words for words, text in verdicts.items() if text == "flat"]
-    screen.say(f"  flat past {FLAT_FROM} ranks: {', '.join(flat) or 'none'}")
+    screen.say(f"  flat from {FLAT_FROM} ranks on: {', '.join(flat) or 'none'}")
     for words, text in verdicts.items():
         if text != "flat":
             screen.say(f"  {words}: {text}")

@@ -19,11 +19,11 @@ from scipy.optimize import brentq, nnls
 
 NETWORK_LATENCY = 2e-6  # seconds of a short message between two nodes, Infiniband
 NETWORK_BANDWIDTH = 1e10  # bytes a second of a rank
-ASSUMPTIONS = """work: {growth}; {share}, and memory is as fast as here however many ranks a node has
-rows: the layer around a block of space stays as thick, blocks are those of bisection, one row costs what it costs here
-messages: one stage of a reduction, or a message to one neighbour, costs what it costs here; searches are as frequent
-between nodes (more than {ranks} ranks): {latency:.0f} us at least a message, {bandwidth:.0f} GB/s a rank; no other traffic
-not in it: cutting space anew, output, set-up, noise of the operating system, which grows with the number of ranks"""
+ASSUMPTIONS = """work: {growth}; {share}, with memory as fast as here, however many ranks a node has
+rows: the layer around a block of space stays equally thick; bisection makes the blocks; one row costs as much as here
+messages: one stage of a reduction, or a message to one neighbour, costs as much as here; searches are equally frequent
+between nodes (more than {ranks} ranks): at least {latency:.0f} us per message, {bandwidth:.0f} GB/s per rank; no other traffic
+not included: new cuts of space, output, set-up, noise of the operating system, which grows with the number of ranks"""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class Model:
         parts, stages = self.parts(particles, ranks), self.stages_for(ranks)
         terms = {f"latency of {name}": parts["latency"] * n / max(self.stages(ranks), 1e-300) for name, n in stages.items()}
         terms |= {"rows of ghosts": parts["rows"], "bytes for all other ranks": parts["all_others"]}
-        return terms if weak else terms | {"what a step costs apart from particles": parts["fixed"]}
+        return terms if weak else terms | {"fixed costs of a step": parts["fixed"]}
 
     def seconds(self, particles: float, ranks: int) -> float:
         return sum(self.parts(particles, ranks).values())

@@ -38,7 +38,7 @@ def unable_to_grow(scene: Scene) -> list[str]:
     for number, population in enumerate(scene.to_dict()["particles"]):
         for name, value in population.items():
             if is_listed(name, value, scene.dimension):
-                faults.append(f"particles[{number}].{name}: is listed, particle by particle")
+                faults.append(f"particles[{number}].{name}: is a list, with a value for each particle")
             if isinstance(value, dict) and "file" in value:
                 faults.append(f"particles[{number}].{name}: comes from a file")
     return faults
