@@ -1,6 +1,5 @@
-"""G: drag and friction. Leapfrog, which advances them exactly, against PBPhys's explicit rule, and where a long step leads.
-
-And bounces: their order under every force, on every obstacle, with every loss.
+"""G: drag and friction. Compares leapfrog, which advances them exactly, with PBPhys's explicit rule, also at long steps; and
+measures the order of bounces under every force, on every obstacle, with every loss.
 """
 
 from itertools import product
@@ -25,14 +24,14 @@ ERRORS = {"place": f"distance from the true position at t = {DURATION:g}", "velo
 
 
 def thrown(drag: float, t: float = DURATION) -> tuple[Array, Array]:
-    """Place and velocity under gravity and linear drag: dv/dt = g - k v."""
+    """Return position and velocity under gravity and linear drag: dv/dt = g - k v."""
     g, v0 = np.array([0.0, -G]), np.array(THROW)
     decay = exp(-drag * t)
     return g / drag * t + (v0 - g / drag) * (1.0 - decay) / drag, g / drag + (v0 - g / drag) * decay
 
 
 def sliding(t: float = DURATION) -> tuple[Array, Array]:
-    """The same under friction of the weight, alpha = m g, thrown sideways: a Runge-Kutta method of order 8 at 1e-13."""
+    """Return the same for a sideways throw under friction alpha = m g, by a Runge-Kutta method of order 8 at 1e-13."""
 
     def rate(_: float, state: Array) -> Array:
         v = state[2:]
@@ -46,7 +45,7 @@ def throw(
     benchmark: Benchmark, key: str, title: str, velocity: tuple[float, float], loss: dict[str, Any], true: tuple[Array, Array],
     reference: str = "exact: x(t) of linear drag", integrators: tuple[str, ...] = ("leapfrog", "taylor"),
 ) -> Experiment:  # fmt: skip
-    """Particles thrown in a plane under gravity and a loss: each integrator over a range of steps, and the orders seen."""
+    """Throw particles in a plane under gravity and a loss, with each integrator over a range of steps; find the orders."""
 
     def errors(sim: Simulation) -> Errors:
         sim.run()
@@ -69,9 +68,9 @@ def throw(
 
 
 def throws(benchmark: Benchmark) -> list[Experiment]:
-    """G1 to G3: with drag that slows down over many steps, that stops within one (k h = 10 in the longest), and with friction.
+    """Measure G1 to G3: with drag that acts over many steps, drag that acts within one (k h = 10 in the longest), and friction.
 
-    Friction is as strong as the weight: what is thrown sideways falls at half the speed in the end.
+    Friction is as strong as the weight: a particle thrown sideways falls at half its speed in the end.
     """
     stiff_title, order_8 = f"Stiff drag, k = {STIFF_DRAG:g}", "Runge-Kutta of order 8 (DOP853) at 1e-13"
     weak = throw(benchmark, "G1", "Throw with drag", THROW, {"drag": {"rate": DRAG}}, thrown(DRAG))
@@ -89,7 +88,7 @@ def throws(benchmark: Benchmark) -> list[Experiment]:
 
 
 def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, ...], h: float) -> Setting:
-    """Balls that bounce for a second, on all obstacles."""
+    """Return the setting of balls that bounce for a second on all obstacles."""
     cases = tuple(product(OBSTACLES, resistances))
     tables, shift = scene(force, "rewind", h, bounces(2, force, loss, cases, h))
 
@@ -105,7 +104,7 @@ def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, 
 
 
 def bouncing(benchmark: Benchmark) -> list[Experiment]:
-    """G4: contacts at any moment of a step. Collective."""
+    """Measure G4: contacts at any moment of a step. Collective."""
     steps, forces = (BOUNCE_STEPS[:2], FORCES[:3]) if benchmark.quick else (BOUNCE_STEPS, FORCES)
     tried = [bounce(benchmark, *with_) for with_ in product(forces, LOSSES, (("none", "drag"), ("friction",)), steps)]
     errors = {

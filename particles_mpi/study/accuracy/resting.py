@@ -1,4 +1,4 @@
-"""I: contacts that last. What the tolerance of their solution costs in a bed of spheres, and what it changes."""
+"""I: lasting contacts: what the tolerance of their solution costs in a bed of spheres, and what it changes."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ ERRORS = {
 def bed(
     n: int, layers: float, step: float, steps: int, tolerance: float, particles: dict[str, Any] | None = None
 ) -> dict[str, Any]:
-    """The scene of n spheres in a box with gravity, e = 0.5, mode event; in the air, or as given by `particles`."""
+    """Return the tables of n spheres in a box with gravity, e = 0.5, mode event; in the air, or as given by `particles`."""
     side, loose = 2.0 * R * (n / layers) ** 0.5, {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
     return {
         "dimension": 3,
@@ -41,12 +41,12 @@ def bed(
 
 
 def experiments(benchmark: Benchmark) -> list[Experiment]:
-    """I: a bed that has settled goes on with each tolerance. Collective."""
+    """Measure I: continue a settled bed with each tolerance. Collective."""
     n, steps = (QUICK_N, QUICK_STEPS) if benchmark.quick else (N, STEPS)
     settled = benchmark.at_end(bed(n, LAYERS, STEP, SETTLING_STEPS, TOLERANCES[2]), "position", "radius")
 
     def heights(sim: Simulation) -> tuple[Array, float]:
-        """(heights of all spheres at the end of the run, largest rise of the energy)."""
+        """Return (heights of all spheres at the end of the run, largest rise of the energy)."""
         before, rise = np.inf, 0.0
         for _ in range(10):
             sim.steps(steps // 10)

@@ -1,4 +1,4 @@
-"""J: rough spheres. A ball that slides, then rolls, by the step; and how far a bed of rough spheres creeps down a slope."""
+"""J: rough spheres: a ball that slides and then rolls, for several steps; how far a bed of rough spheres creeps down a slope."""
 
 from functools import cache
 from math import cos, pi, sin
@@ -33,7 +33,7 @@ CREEP = {
 
 
 def sliding_balls(mode: str, step: float) -> dict[str, Any]:
-    """The scene of balls side by side on a floor, thrown along it without spin."""
+    """Return the tables of balls side by side on a floor, thrown along it without spin."""
     balls = {"position": [[0.0, 1.5 * k, 0.5] for k in range(BALLS)], "velocity": [[v, 0.0, 0.0] for v in SPEEDS], "radius": 0.5}
     law = {"restitution": 0.5, "friction": MU}
     effects: dict[str, Any] = {"uniform_gravity": {"acceleration": [0.0, 0.0, -G]}, "walls": {"planes": FLOOR, **law}}
@@ -42,7 +42,7 @@ def sliding_balls(mode: str, step: float) -> dict[str, Any]:
 
 
 def rolling(benchmark: Benchmark) -> list[Experiment]:
-    """J1: a ball slides until t = 2 v/(7 mu g), then it rolls at 5/7 v. Collective."""
+    """Measure J1: a ball slides until t = 2 v/(7 mu g), then it rolls at 5/7 v. Collective."""
 
     def errors(sim: Simulation) -> Errors:
         sim.run()
@@ -64,7 +64,7 @@ def rolling(benchmark: Benchmark) -> list[Experiment]:
 
 
 def rough_bed(n: int, step: float, time: float, tolerance: float, particles: dict[str, Any] | None = None) -> dict[str, Any]:
-    """The scene of some six layers on a rough floor that leans; periodic along the slope and across it."""
+    """Return the tables of about six layers on a rough, tilted floor; periodic along the slope and across it."""
     tables = bed(n, 6.0, step, round(time / step), tolerance, particles)
     box, effects = tables["box"], tables["effects"]
     box["upper"][2], box["periodic"] = 40.0 * R, [True, True, False]
@@ -76,7 +76,7 @@ def rough_bed(n: int, step: float, time: float, tolerance: float, particles: dic
 
 
 def creeping(benchmark: Benchmark) -> list[Experiment]:
-    """J2 and J3: a bed that has settled goes on, with several steps and with several tolerances. Collective."""
+    """Measure J2 and J3: continue a settled bed with several steps, and with several tolerances. Collective."""
     n, watched = (QUICK_N, QUICK_MEASURED_TIME) if benchmark.quick else (N, MEASURED_TIME)
 
     @cache

@@ -1,4 +1,4 @@
-"""What accuracy costs in a scene of the user's: its settings on a ladder of steps, and what each of its effects costs."""
+"""What accuracy costs in a user's scene: its settings on a ladder of steps, and the cost of each of its effects."""
 
 from functools import partial
 from math import isnan, nan
@@ -21,12 +21,12 @@ MEANING = {
 
 
 def experiments(benchmark: Benchmark, scene: Scene) -> list[Experiment]:
-    """Two experiments: settings of the scene, and its effects switched off in turn. Collective; few bodies on rank 0 alone."""
+    """Measure the settings of the scene, and its effects switched off in turn. Collective; few bodies on rank 0 alone."""
     return Start(benchmark, scene).on_few(lambda start: [settings(start), effects(start)]) or []
 
 
 def settings(start: Start) -> Experiment:
-    """Errors of each integrator, mode or angle over a ladder of steps, in BUDGET_SECONDS; times then take as long again."""
+    """Find the errors of each integrator, mode or angle over a ladder of steps, in BUDGET_SECONDS; times take as long again."""
     quick, metric = start.benchmark.quick, reference(start, BUDGET_SECONDS)
     if not metric.limits:
         raise SceneError("particles: nothing in this scene has an error that could be measured")
@@ -52,7 +52,7 @@ def settings(start: Start) -> Experiment:
 
 
 def effects(start: Start) -> Experiment:
-    """Seconds of a step with all effects, and with each switched off in turn, from the same start."""
+    """Time a step with all effects, and with each switched off in turn, from the same start."""
     scene, answers, tried = start.scene, list[str](), []
     steps = max(4, min(scene.steps, 100))
     for name in ["", *scene.active]:

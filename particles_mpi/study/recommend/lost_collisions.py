@@ -1,4 +1,4 @@
-"""How many collisions a scene has, and loses by mode `rewind`: those of its first steps in both modes are counted."""
+"""How many collisions a scene has, and how many mode `rewind` loses: counts those of its first steps in both modes."""
 
 from math import sqrt
 from typing import NamedTuple
@@ -21,7 +21,7 @@ class BesideEvent(NamedTuple):
     same: int = 0
 
     def __str__(self) -> str:
-        """The share that is lost, as far as chance lets it be seen: N collisions scatter by less than the root of N."""
+        """Return a text: the share that is lost, as far as chance lets it be seen: N collisions scatter by less than sqrt(N)."""
         if not self.steps:
             return "not measured, because a step takes too long or mode event refuses the scene"
         if not self.exact:

@@ -1,4 +1,4 @@
-"""What a scene will cost and how wrong it will be, before it runs: what `check` prints.
+"""Predicts what a run will cost and how wrong it will be; `check` prints it.
 
 The first half second of the run is tried, with output, for the forecast of seconds; a short run at steps of h, h/2 and h/4
 gives the errors. Takes two to five seconds. How short it is follows from `counted_seconds`, and from no clock: the errors of a
@@ -49,7 +49,7 @@ CHAOS_AFTER = 15.0  # collisions of a particle, after which its place means noth
 
 @dataclass
 class Prediction:
-    """How long a run takes (None if nothing happens in it, or it stops at once), and how wrong it will be, line by line.
+    """How long a run takes (None if nothing happens, or if it stops at once), and how wrong it will be, line by line.
 
     costs: the share of a step that each effect takes, in words; "" where steps take too long to find out.
     """
@@ -60,7 +60,7 @@ class Prediction:
 
 
 def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
-    """Try a simulation that has just begun, on its ranks, which are those of the benchmark. Collective; the same on all of them.
+    """Try a simulation that has just begun, on its ranks, which are those of the benchmark. Collective; the same on all ranks.
 
     No rank holds more of it than its own share, unless steps are so short that errors can be measured.
     """
@@ -86,7 +86,7 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
 
 
 def rehearse(sim: Simulation) -> Forecast:
-    """What a trial of the first half second, with output, says of the whole run. Collective.
+    """Return the forecast for the whole run from a trial of its first half second, with output. Collective.
 
     It writes into a folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed.
     """
@@ -104,7 +104,7 @@ def rehearse(sim: Simulation) -> Forecast:
 
 
 def costs_of(sim: Simulation, step: float) -> str:
-    """What a step takes less without each effect, in words, measured by turns from the state of now; `step`: its seconds.
+    """Return a text: the time that a step saves without each effect, measured in turn from the present state; `step`: seconds.
 
     Effects share some work (walls are looked for with collisions, for instance), so shares need not add up. Collective.
     """
@@ -136,7 +136,7 @@ def costs_of(sim: Simulation, step: float) -> str:
 
 
 def without_effect(sim: Simulation, name: str) -> Simulation:
-    """A copy in which this effect is switched off, if one is named. Collective."""
+    """Return a copy in which this effect is switched off, if one is named. Collective."""
     twin = sim.copy()
     if name:
         twin.effects[name].active = False
@@ -144,7 +144,8 @@ def without_effect(sim: Simulation, name: str) -> Simulation:
 
 
 def predict_contacts(sim: Simulation, benchmark: Benchmark, step: float) -> list[str]:
-    """What to expect of rates of collisions, and of places after many of them, from the first steps; `step`: seconds of one.
+    """Return lines about the errors of collision rates, and of positions after many collisions, from the first steps;
+    `step`: seconds of one.
     Collective."""
     scene, options, h = sim.scene, sim.scene.effects["collisions"], sim.scene.time.step
     movable = sim.ranks.total(np.count_nonzero(sim.rows.fixed == 0))[0]
@@ -185,7 +186,7 @@ def energy_change(sim: Simulation, first: dict[str, Any]) -> list[str]:
 
 
 def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
-    """Error of places and of the energy over as much of the run as there is time for, and its order; `step`: seconds of one."""
+    """Return a line: errors of positions and energy over as much of the run as time allows; `step`: seconds of one."""
     if scene.steps < LEAST_SNAPSHOTS:
         return [f"predicted error: not measured, the run has fewer than {LEAST_SNAPSHOTS} steps"]
     adaptive = scene.time.integrator == "adaptive"
@@ -206,7 +207,7 @@ def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
 
 
 def error_of_tree(start: Start, record: Record, steps: int) -> str:
-    """How far a run with a tree is from one by the direct sum in the same steps, in words; "" where no tree is used."""
+    """Return a text: how far a run with a tree is from one with the direct sum in the same steps; "" if no tree is used."""
     gravity = start.scene.effects.get("mutual_gravity")
     if not (gravity and gravity.active and gravity.choice(start.scene, start.total).angle):
         return ""
@@ -218,7 +219,7 @@ def error_of_tree(start: Start, record: Record, steps: int) -> str:
 
 
 def refined(scene: Scene, steps: int, halvings: int, effects: Changes | None = None) -> Scene:
-    """The scene's first `steps`, each cut into 2^halvings; `adaptive` with a tolerance that much tighter, by tens, from its
+    """Return the scene's first `steps`, each cut into 2^halvings; for `adaptive` with a tolerance 10^halvings tighter, from its
     own one, or ten times the tightest, on."""
     time: dict[str, Any] = {"steps": steps, "end": None}
     if scene.time.integrator == "adaptive":
@@ -230,7 +231,7 @@ def refined(scene: Scene, steps: int, halvings: int, effects: Changes | None = N
 
 
 def describe_differences(start: Start, records: list[Record], span: float) -> str:
-    """Richardson's estimate, from runs at steps of h, h/2 and h/4 over a `span`, in words; of `adaptive`, what a tighter
+    """Return Richardson's estimate as text, from runs at steps h, h/2 and h/4 over a `span`; for `adaptive`, what a tighter
     tolerance changes.
 
     With the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is d1 2^p/(2^p - 1).

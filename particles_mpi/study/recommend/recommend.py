@@ -1,4 +1,4 @@
-"""The cheapest setting of a scene that reaches a tolerance: searched, timed fairly, verified at half the step, written down."""
+"""Finds the cheapest setting of a scene that reaches a tolerance: searches, times fairly, verifies at half the step, writes."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -47,7 +47,7 @@ class Recommendation:
 def recommend(
     benchmark: Benchmark, scene: Scene, tolerance: float, error: str = "", seconds: float = BUDGET_SECONDS
 ) -> Recommendation | None:
-    """Find it. Collective; a few bodies are computed on rank 0 alone, and other ranks get None.
+    """Find the recommendation. Collective; few bodies are computed on rank 0 alone, and other ranks get None.
 
     SceneError if the tolerance cannot be measured, StoppedError if nothing in these seconds reaches it.
     """
@@ -62,7 +62,7 @@ def recommend(
 
 
 def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommendation:
-    """The same, on the ranks of the start's benchmark."""
+    """Do what `recommend` describes, on the ranks of the start's benchmark."""
     benchmark, ways, (as_given, resolution) = start.benchmark, methods(start), as_it_is(start)
     for method in (as_given, *ways):
         method.least = frames(start.scene)
@@ -104,7 +104,7 @@ def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommen
 
 
 def enter_times(start: Start, trials: list[Trial], part: float) -> None:
-    """Seconds of the whole run into trials of a part of it, measured by turns. Collective."""
+    """Measure the seconds of trials in turn, and enter those of the whole run. Collective."""
     short = all(trial.seconds < SHORT_RUN_SECONDS for trial in trials)
     rows = time_trials(start, trials, min(start.benchmark.sample_seconds, SHORT_RUN_SECONDS) if short else None)
     for trial, row in zip(trials, rows, strict=True):
@@ -112,7 +112,7 @@ def enter_times(start: Start, trials: list[Trial], part: float) -> None:
 
 
 def nearest(search: Search) -> str:
-    """The best of what was tried, in words."""
+    """Return a text: the best of what was tried."""
     tried = [trial for trial in search.trials if isfinite(search.size(trial.errors))]
     if not tried:
         return "; ".join(f"{name}: {why}" for name, why in search.refused.items())
@@ -121,7 +121,7 @@ def nearest(search: Search) -> str:
 
 
 def report(screen: Screen, found: Recommendation) -> None:
-    """All of it on the screen."""
+    """Print the whole recommendation."""
     search, trial, s, say = found.search, found.best, found.best.timed, screen.say
     metric, names = search.metric, ", ".join(search.tolerances)
     scene, method = metric.start.scene, trial.method
@@ -158,7 +158,7 @@ def report(screen: Screen, found: Recommendation) -> None:
 
 
 def trials_table(found: Recommendation) -> Table:
-    """All settings that were tried, with the times of those that were compared; the best is bold."""
+    """Return a table of all settings that were tried, with the times of those that were compared; the best is bold."""
     names, trials = found.search.metric.limits, sorted(found.search.trials, key=lambda t: (t.method.name, t.resolution))
     works = [name for name in WORK_TITLES if any(trial.work[name] for trial in trials)]
     table = numbers_table("setting", *names, "seconds", *(WORK_TITLES[name] for name in works))
@@ -173,7 +173,7 @@ def trials_table(found: Recommendation) -> Table:
 def recommend_scene(
     path: Path, tolerance: float, error: str = "", output: Path | None = None, seconds: float = BUDGET_SECONDS
 ) -> Recommendation | None:
-    """What `study recommend` does: find it, print it, write the tuned scene (to NAME.tuned.toml by default). Collective."""
+    """Do what `study recommend` does: find, print, and write the tuned scene (by default to NAME.tuned.toml). Collective."""
     benchmark, target = Benchmark(quiet=False), output or path.with_suffix(".tuned.toml")
     scene = load(path)
     if target.resolve() == path.resolve():

@@ -218,7 +218,7 @@ def test_columns_are_flat_or_as_surfaces_or_named(weak):
         "NOT FLAT, from 8 to 32 on 32 ranks, as P^1.00: ranks agree"
     )
     assert said("bytes_counts", lambda ranks, n: 0.0) == "flat"
-    assert said("messages", lambda ranks, n: 3.0 * CUBE.neighbours(ranks)).endswith("as the number of neighbours of a block")
+    assert said("messages", lambda ranks, n: 3.0 * CUBE.neighbours(ranks)).endswith("like the number of neighbours of a block")
     assert said("messages", lambda ranks, n: ranks - 1.0).startswith("NOT FLAT")
     surface = said("ghosts", lambda ranks, n: CUBE.rows(n, ranks, 1.0))
     assert surface.endswith("like the surfaces that a block has in common with others") and "NOT FLAT" not in surface
