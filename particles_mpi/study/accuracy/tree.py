@@ -30,8 +30,8 @@ BY_PARTICLE = {  # median errors at angles 1, 0.7, 0.5 where each particle walks
 def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
     """Yield the direct sum, whose forces are the reference for the others, and trees from coarse to fine.
 
-        A step has one evaluation of the forces, and two kicks and a drift, about 10 ns per particle. The simulation is not begun anew
-    for each sample, because an evaluation costs the same at any time.
+        A step has one evaluation of the forces, and two kicks and a drift, about 10 ns per particle. The simulation is not begun
+    anew for each sample, because an evaluation costs the same at any time.
     """
     exact: list[Array] = []  # accelerations of this rank's particles
 

@@ -219,7 +219,8 @@ class Search:
     def finalists(self) -> list[Trial]:
         """Return the trials that may be the cheapest: the coarsest of each method that reaches the tolerance.
 
-        With contacts, whose cost depends on the step in other ways, they are the two quickest."""
+        With contacts, whose cost depends on the step in other ways, they are the two quickest.
+        """
         found, contacts = [], "collisions" in self.start.scene.effects
         for method in {id(trial.method): trial.method for trial in self.trials}.values():
             good = [t for t in self.trials if t.method is method and self.reached(t.errors)]

@@ -48,7 +48,7 @@ class Result:
     headline: bool
 
     def efficiency(self, curve: Curve, point: Point) -> float:
-        """Return the work per second of a rank, over that of one rank alone: T1/(P TP), or T1/TP on a weak curve with work ~ N."""
+        """Return the work per second of a rank over that of one rank alone: T1/(P TP), or T1/TP on a weak curve with work ~ N."""
         alone, together = (self.law.rate(p.particles, p.ranks, p.seconds) for p in (curve.points[0], point))
         return together / alone
 
