@@ -25,7 +25,7 @@ class Options(EffectOptions):
 class Effect(RollingResistance):
     """Acts in the solution for contacts that last. A hit is over at once, so the couple has no time to act in it."""
 
-    formula = "|couple| <= b N, against the rolling of contacts that last"
+    formula = "|couple| <= b N, against rolling in lasting contacts"
     needs = Needs(divides_by_mass=True, integrators=("leapfrog",))
 
     def __init__(self, options: Options, scene: Scene):

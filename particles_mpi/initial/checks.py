@@ -62,7 +62,7 @@ def check_places(particles: Particles, room: Room, faults: Faults) -> None:
     for w, (point, normal) in enumerate(zip(room.point, room.normal, strict=True)):
         out = inside_wall(x, particles.radius, point, normal) & (particles.fixed == 0)
         place, direction = (", ".join(f"{number:g}" for number in vector) for vector in (point, normal))
-        what = f" not fully inside the wall at ({place}) with normal ({direction})"
+        what = f" not fully on the free side of the wall at ({place}) with normal ({direction})"
         faults.name(f"effects.walls.planes[{w}]: ", particles.id[out], what)
 
 

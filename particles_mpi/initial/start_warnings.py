@@ -21,7 +21,8 @@ def rounded_end(scene: Scene) -> list[str]:
     step, end, steps = scene.time.step, scene.time.end, scene.steps
     if end is None or abs(steps * step - end) <= 1e-6 * step:
         return []
-    return [f"time.end: {end:g} is not a whole number of steps of {step:g}: it ends at t = {steps * step:g}, after step {steps}"]
+    ends = f"the run ends at t = {steps * step:g}, after step {steps}"
+    return [f"time.end: {end:g} is not a whole number of steps of {step:g}: {ends}"]
 
 
 def planes_that_end(scene: Scene) -> list[str]:

@@ -61,4 +61,4 @@ class Watchdog:
         elif who := listed_ids(ranks, lost):
             faults.append(f"lost: {who}")
         faults += [f"present more than once: {'; '.join(twice)}"] if twice else []
-        return "; ".join(faults) or "the particles are not those of before"
+        return "; ".join(faults) or "the particles are not the same as before"

@@ -22,7 +22,7 @@ SAID = {
     "no file": "none.csv cannot be read (No such file",
     "overlaps": "effects.collisions: pairs 0-97, 1-98 and 2-99 overlap at the start",
     "outside": "box: particles 51, 52, 53, 54, 55 and 4 more outside",
-    "in walls": "effects.walls.planes[0]: particle 0 not fully inside the wall at (0, 0)",
+    "in walls": "effects.walls.planes[0]: particle 0 not fully on the free side of the wall at (0, 0)",
     "too fast": "time.step: particles ",
     "too many": "particles[0].position: random: ",
     "too wide": "particles[0].position: random: spheres of radius 0.6 do not fit into the box on axis 0",

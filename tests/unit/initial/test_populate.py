@@ -359,7 +359,7 @@ def test_fields_are_those_the_effects_name():
         ({"position": [[0.5, 0.5]], "fixed": True, "velocity": {"speed": 1}}, "particles[0].velocity"),
         ({"count": 10**15, "position": "random"}, "particles[0].count"),
         ({"position": [[0.5, 1.5]]}, "box: particle 0 outside"),
-        ({"position": [[0.5, 0.04]], "radius": 0.05}, "effects.walls.planes[2]: particle 0 not fully inside"),
+        ({"position": [[0.5, 0.04]], "radius": 0.05}, "effects.walls.planes[2]: particle 0 not fully on the free side"),
     ],
 )
 def test_faults_name_key_and_particle(population, words):
