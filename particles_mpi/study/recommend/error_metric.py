@@ -102,7 +102,7 @@ class ErrorMetric:
         finest = {name: limit / self.share(name) for name, limit in self.limits.items()}
         if tolerance < finest[first]:
             finer = [f"{name} {limit:.1g}" for name, limit in finest.items() if name != first]
-            others = f"; --error has {', '.join(finer)}" if finer else ""
+            others = f"; limits with other --error: {', '.join(finer)}" if finer else ""
             below = (
                 f"--tolerance {tolerance:g} is below what can be measured here: {first} {finest[first]:.1g} ({self.why}){others}"
             )

@@ -125,7 +125,7 @@ def report(screen: Screen, found: Recommendation) -> None:
     search, trial, s, say = found.search, found.best, found.best.timed, screen.say
     metric, names = search.metric, ", ".join(search.tolerances)
     scene, method = metric.start.scene, trial.method
-    say(f": {metric.start.total} particles, {names} to {found.tolerance:g}", head=scene.title or "untitled scene")
+    say(f": {metric.start.total} particles, wanted: {names} within {found.tolerance:g}", head=scene.title or "untitled scene")
     finest = ", ".join(f"{name} {metric.limits[name]:.1g}" for name in search.tolerances)
     say(f"  reference: {metric.reference}; the smallest errors that can be measured: {finest} ({metric.why})")
     if left_out := [f"{name} {limit:.1g}" for name, limit in metric.limits.items() if name not in search.tolerances]:

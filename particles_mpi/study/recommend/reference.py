@@ -216,10 +216,10 @@ def set_limits(found: ErrorMetric, record: Record, parted: float, uncertainty: f
     found.places = record.places
     chaos, own = max(found.growth, 1.0) * ROUND_OFF, uncertainty / found.size
     if found.growth * DISPLACEMENT > SATURATED or own > SATURATED:
-        found.why = f"chaos: starts {DISPLACEMENT:g} of the size apart end {found.growth * DISPLACEMENT:.1g} of it apart"
+        found.why = f"chaos: starts that are {DISPLACEMENT:g} of the size apart end {found.growth * DISPLACEMENT:.1g} of it apart"
     else:
         found.limits["state"] = 2.0 * (chaos + own)
-        sensitive = f"chaos: a displaced start ends {found.growth:.2g} times as far away"
+        sensitive = f"round-off: a displaced start ends {found.growth:.2g} times as far away"
         found.why = sensitive if chaos > own else f"two references differ by {own:.1g}"
     found.add_energy(record)
 

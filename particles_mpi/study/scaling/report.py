@@ -136,4 +136,4 @@ def what_ends(model: Model, curve: Curve) -> str:
         said.append(f"on {ranks} ranks {longest}, {loss[longest] / model.seconds(curve.particles(ranks), ranks):.0%} of a step")
     growth = {name: seconds - losses[0][name] for name, seconds in losses[1].items()}
     growing = max(growth, key=lambda name: growth[name])
-    return f"{'; '.join(said)}; between the two {growing} grow most, by {growth[growing] * 1e3:.2g} ms"
+    return f"{'; '.join(said)}; the largest growth between the two: {growing}, by {growth[growing] * 1e3:.2g} ms"

@@ -188,8 +188,12 @@ def test_what_ends_the_scaling():
     made, quick = synthetic(), replace(synthetic(), latency=0.0)
     weak, strong = (Curve(kind, [measured(made, 32_000, 1)]) for kind in (True, False))
     assert what_ends(made, strong).startswith("on 1024 ranks latency of messages to neighbours, ")
-    assert what_ends(made, weak).endswith("bytes for all other ranks grow most, by 0.26 ms")  # 40 to each of 64 512 more
-    assert what_ends(replace(made, for_each=0.0), weak).endswith("latency of reductions grow most, by 0.24 ms")  # 5 in 6 stages
+    assert what_ends(made, weak).endswith(
+        "growth between the two: bytes for all other ranks, by 0.26 ms"
+    )  # 40 to each of 64 512 more
+    assert what_ends(replace(made, for_each=0.0), weak).endswith(
+        "growth between the two: latency of reductions, by 0.24 ms"
+    )  # 5 in 6 stages
     assert "on 65536 ranks latency of reductions, " in what_ends(replace(made, reductions=500.0), weak)
     assert "on 65536 ranks latency of exchanges of all with all, " in what_ends(replace(made, all_to_alls=500.0), weak)
     assert "on 1024 ranks fixed costs of a step, 100% of" in what_ends(replace(quick, fixed=1.0), strong)
