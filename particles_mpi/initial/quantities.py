@@ -40,7 +40,7 @@ def fill_attributes(columns: Columns, share: Share) -> None:
         fill_spins(columns, share)
     for name, needed in divided_masses(scene, arrays["fixed"][rows]).items():
         massless = needed & (arrays["mass"][rows] == 0.0)
-        columns.refuse(share, "mass", massless, f"0, but [effects.{name}] divides by it, for")
+        columns.refuse(share, "mass", massless, f"[effects.{name}] divides by it, so it must be above 0 for")
 
 
 def fill_spins(columns: Columns, share: Share) -> None:

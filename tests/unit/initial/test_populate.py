@@ -351,7 +351,7 @@ def test_fields_are_those_the_effects_name():
     ("population", "words"),
     [
         ({"position": [[0.5, 0.5]], "mass": -1.0}, "particles[0].mass: negative for particle 0"),
-        ({"position": [[0.5, 0.5]], "mass": 0.0}, "particles[0].mass: 0, but [effects.collisions]"),
+        ({"position": [[0.5, 0.5]], "mass": 0.0}, "particles[0].mass: [effects.collisions] divides by it, so it must be above 0"),
         ({"position": [[0.5, 0.5]], "radius": -1.0}, "particles[0].radius: negative"),
         ({"position": [[0.5, 0.5]], "radius": [0.1, 0.1]}, "particles[0].radius: 2 entries, but position has 1"),
         ({"position": [[0.5, 0.5]], "count": 2}, "particles[0].position: 1 entries, but count = 2"),
@@ -378,7 +378,7 @@ def test_mass_zero_where_nothing_divides_by_it():
 def test_rough_walls_divide_by_masses(walls):
     """For what they turn has a moment of inertia; smooth ones do not, until they are made rough."""
     ball = {"position": [[0.5, 0.5]], "radius": 0.1, "mass": 0.0}
-    assert "particles[0].mass: 0, but [effects.walls]" in faults(ball, effects={"walls": walls})
+    assert "particles[0].mass: [effects.walls] divides by it, so it must be above 0" in faults(ball, effects={"walls": walls})
     tables = {"box": {"lower": [0.0, 0.0], "upper": [1.0, 1.0]}, "time": {"step": 0.01, "steps": 1}, "particles": [ball]}
     sim = Simulation(Scene(dimension=2, effects={"walls": {}}, **tables))
     for key, value in walls.items():
