@@ -24,7 +24,7 @@ def without_large_vtk(output: Any, total: int) -> list[str]:
     if total <= MOST_VTK or "vtk" not in output.formats or "formats" in output.model_fields_set:
         return []
     output.formats.remove("vtk")
-    return [f'output.formats: no VTK files are written of more than {MOST_VTK} particles, unless the scene names "vtk" here']
+    return [f'output.formats: no VTK files for more than {MOST_VTK} particles, unless the scene names "vtk" here']
 
 
 class RunFiles:
@@ -152,7 +152,7 @@ class RunFiles:
             checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
         except StoppedError as failure:  # the first error must be raised all the same
             return StateError(f"{error}; {failure}{safe}")
-        return StateError(f"{error}; all rows are in {path}{safe}")
+        return StateError(f"{error}; all particles are in {path}{safe}")
 
     def close(self) -> None:
         """Close every file."""

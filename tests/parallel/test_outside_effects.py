@@ -340,7 +340,11 @@ def test_a_gate_takes_its_part_once():
             r"particles\[0\].change: unknown key .did you mean 'charge'",
         ),
         ({"file": "magnetic.py", "field": [0.0] * 3}, {"charge": [1.0, 2.0]}, r"particles\[0\].charge: 2 entries"),
-        ({"file": "magnetic.py", "field": [0.0] * 3}, {"mass": 0.0}, r"particles\[0\].mass: 0, but \[effects.magnetic_field\]"),
+        (
+            {"file": "magnetic.py", "field": [0.0] * 3},
+            {"mass": 0.0},
+            r"particles\[0\].mass: \[effects.magnetic_field\] divides by it, so it must be above 0",
+        ),
     ],
 )
 def test_every_key_is_checked(table, more, fault):

@@ -26,7 +26,8 @@ SAID = {
     "too fast": "time.step: particles ",
     "too many": "particles[0].position: random: ",
     "too wide": "particles[0].position: random: spheres of radius 0.6 do not fit into the box on axis 0",
-    "masses": "particles[0].mass: [effects.collisions] divides by it, so it must be above 0 for particles 0, 3, 6, 9, 12 and 5 more",
+    "masses": "particles[0].mass: [effects.collisions] divides by it, so it must be above 0 for"
+    " particles 0, 3, 6, 9, 12 and 5 more",
     "warm and massless": "a temperature needs a mass for particles 0, 3, 6, 9, 12 and 5 more",
 }
 WARNED = {
