@@ -62,7 +62,8 @@ def recommend(
     scene: SceneFile,
     tolerance: Annotated[float, typer.Option(help="Relative error that is allowed.")],
     error: Annotated[
-        str, typer.Option(metavar="NAME", help="The only error that counts: state, energy, ... (default: all that can be measured).")
+        str,
+        typer.Option(metavar="NAME", help="The only error that counts: state, energy, ... (default: all that can be measured)."),
     ] = "",
     output: TunedFile = None,
     seconds: Annotated[float, typer.Option(min=1.0, help="About how many seconds to measure.")] = 60.0,

@@ -132,7 +132,7 @@ def report(screen: Screen, found: Recommendation) -> None:
         say(f"  not compared with the tolerance (not asked for, or not measurable so finely): {', '.join(left_out)}")
     if metric.part < 1.0:
         say(
-            f": a reference for the whole run would take too long; there errors must be within {search.described(search.tolerances)}",
+            f": a reference for the whole run takes too long; errors there must be within {search.described(search.tolerances)}",
             head=f"  errors are those of the first 1/{1 / metric.part:.0f} of the run (t = {metric.span:.4g})",
         )
     screen.table(trials_table(found))
