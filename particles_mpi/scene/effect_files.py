@@ -104,25 +104,36 @@ def validated_effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
     """Validate each `[effects.NAME]` by the Options of its file; an effect that is not named is not imported."""
     if not isinstance(value, dict):
         raise ValueError("effects: must be tables [effects.NAME]")
-    validated, names = {}, effect_names()
+    validated, faults = {}, []
     for name, keys in value.items():
-        key = key_of(("effects", name))
-        file = keys.get("file") if isinstance(keys, dict) else None
-        if file is None and name not in names:
-            raise ValueError(f"{key}: unknown effect{suggestion(name, names)}; an effect of your own needs the key file")
-        if file is not None:
-            if name in names:
-                raise ValueError(f"{key}.file: {name} is a built-in effect; give yours another name")
-            if not isinstance(file, str) or not str(name).isidentifier():
-                raise ValueError(f"{key}.file: must be the name of a Python file, for an effect whose name is an identifier")
-            keys = keys | {"file": str((info.data["folder"] / file).resolve())}
         try:
-            options = load_effect(name, None if file is None else Path(keys["file"])).Options
-            validated[name] = options.model_validate(keys)
-            if file is not None:
-                require_same_again(validated[name])
-        except ValidationError as error:
-            raise ValueError("\n".join(faults_of(error, options, ("effects", name)))) from None
+            validated[name] = validated_effect(name, keys, info.data["folder"])
         except ValueError as error:
-            raise ValueError(f"{key}.file: {error}") from None
+            faults.append(str(error))
+    if faults:
+        raise ValueError("\n".join(faults))
     return validated
+
+
+def validated_effect(name: str, keys: Any, folder: Path) -> Any:
+    """Return the options of one effect from the `keys` of its table. Raises ValueError with one line for each fault."""
+    key, names = key_of(("effects", name)), effect_names()
+    file = keys.get("file") if isinstance(keys, dict) else None
+    if file is None and name not in names:
+        raise ValueError(f"{key}: unknown effect{suggestion(name, names)}; an effect of your own needs the key file")
+    if file is not None:
+        if name in names:
+            raise ValueError(f"{key}.file: {name} is a built-in effect; give yours another name")
+        if not isinstance(file, str) or not str(name).isidentifier():
+            raise ValueError(f"{key}.file: must be the name of a Python file, for an effect whose name is an identifier")
+        keys = keys | {"file": str((folder / file).resolve())}
+    try:
+        options = load_effect(name, None if file is None else Path(keys["file"])).Options
+        found = options.model_validate(keys)
+        if file is not None:
+            require_same_again(found)
+    except ValidationError as error:
+        raise ValueError("\n".join(faults_of(error, options, ("effects", name)))) from None
+    except ValueError as error:
+        raise ValueError(f"{key}.file: {error}") from None
+    return found

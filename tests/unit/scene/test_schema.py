@@ -109,6 +109,19 @@ def test_a_fault_names_its_key(changes, words):
     assert all(word in told for word in words), told
 
 
+def test_each_effect_with_a_fault_is_named():
+    wrong = {
+        "collisions": {"restitution": 0.5, "damping": 0.1},
+        "drag": {"rate": "x", "speed": 1},
+        "magnetism": {},
+        "walls": {"restitution": 3},
+        "own": {"file": "nowhere.py"},
+    }
+    keys = ["collisions.restitution", "drag.rate", "drag.speed", "magnetism", "walls.restitution", "own.file"]
+    lines = faults(tables(effects=wrong)).splitlines()
+    assert sorted(line.split(":")[0] for line in lines) == sorted(f"effects.{key}" for key in keys)
+
+
 @pytest.mark.parametrize("dimension", [1, 4])
 def test_friction_is_for_two_and_three_dimensions(dimension):
     box = {"lower": [0] * dimension, "upper": [1] * dimension}
