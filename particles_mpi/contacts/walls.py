@@ -8,7 +8,7 @@ import numpy as np
 from particles_mpi.contacts.rough import FRICTION, strike_wall
 from particles_mpi.contacts.velocity_flow import change_of, row_of
 from particles_mpi.kernels.jit import lean, lean_inner
-from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.kernels.markers import NO_PARTNER
 from particles_mpi.kernels.motion import move_to
 
 # Where so many bounces of one particle take less than that part of a step, it has no room, or bounces in a wedge without end.
@@ -159,7 +159,7 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, last, h, planes, rates, r
         start[i] = 0.0
         if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
             w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
-            more, stuck, wall = bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates, rough)
+            more, stuck, wall = bounce_until(axes, x, v, start, np.int64(NO_PARTNER), i, radius[i], w, h, planes, rates, rough)
             hits, missed = hits + more, missed + stuck
             if more > 0 and len(last_row) > 0:
                 last_row[noted], last_wall[noted], last_time[noted] = i, wall, start[i]

@@ -92,10 +92,10 @@ class Effect(WallContacts):
         fields = p.position, p.velocity, p.radius, w
         d, spin = p.dimension, p.arrays.get("spin", np.empty((0, 1)))
         rough = Rough(spin, p.inverse_inertia, self.law, np.empty(d), np.empty(d))
-        nobody = np.empty(0, np.int64)  # rows that end near walls are not listed
+        no_rows = np.empty(0, np.int64)  # rows that end near walls are not listed
         n = len(p) if noting else 0
         row, wall, time = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
         last = np.empty(len(p)), row, wall, time
-        hits, missed, _, noted = drift_with_walls(axes, *fields, last, h, tuple(self.planes), rates, rough, 0.0, nobody)
-        fixed = {"id": nobody, "place": np.empty((0, d)), "radius": np.empty(0)}
+        hits, missed, _, noted = drift_with_walls(axes, *fields, last, h, tuple(self.planes), rates, rough, 0.0, no_rows)
+        fixed = {"id": no_rows, "place": np.empty((0, d)), "radius": np.empty(0)}
         return hits, missed, LastContacts(row[:noted], wall[:noted], time[:noted], fixed)

@@ -234,8 +234,8 @@ class ManySteps:
         walls = persistent.walls if persistent else Walls(no_planes(d), NONE, NONE)
         supported = p["supported"] if persistent else np.empty(0, np.uint8)
         (point, normal), n = walls.planes, len(supported)
-        nobody = np.empty(n, np.int64)
-        room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy(), np.empty((n, d))
+        scratch = np.empty(n, np.int64)
+        room = scratch, scratch.copy(), np.empty((n, d)), scratch.copy(), np.empty((n, d))
         return OnWalls(persistent is not None, (0.0,) * d, supported, point, normal, walls.faces, *room)
 
     def losses_of(self, p: Particles, h: float) -> StepLosses:

@@ -11,7 +11,7 @@ class Segments(NamedTuple):
     """The straight segments of all rows in a drift: row i is at x + v (t - start) at time t after the drift began.
 
     x, v (n, d): place and velocity at the start of the row's present segment. start (n,): the time of that, 0 or that of the
-    row's last contact. last_partner (n,) int64: whom that contact was with, an id, a wall as -1 - wall, or `NOBODY`.
+    row's last contact. last_partner (n,) int64: whom that contact was with, an id, a wall as -1 - wall, or `NO_PARTNER`.
     """
 
     x: NDArray[Any]

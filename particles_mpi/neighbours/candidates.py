@@ -70,7 +70,7 @@ class Candidates:
         self.time = 0.0  # since the search
         n = len(x)
         self.marked, self.chosen = np.zeros(n, np.bool_), np.empty(n, np.int32)  # scratch
-        self.pair_count = self.wall_count = self.tests = self.asked = 0
+        self.pair_count = self.wall_count = self.tests = self.seekers = 0
         self.room = room_for(0)
         self.reserve(expected + expected // 4 + 256)
         self.wall_rows = np.empty(spheres.owned, np.int32)
@@ -153,7 +153,7 @@ class Candidates:
             self.reserve(len(self.room.first) + len(self.room.first) // 2 + 256)
         require_countable(self.pair_count, "candidate pairs")
         if why != ALL and not needed:
-            self.asked += count
+            self.seekers += count
         return float(needed)
 
 
