@@ -13,7 +13,7 @@ from particles_mpi.output.files import identity_of
 from particles_mpi.parallel.agreement import await_all, same_on_all
 from particles_mpi.parallel.signals import StopRequest
 from particles_mpi.run.console import Screen
-from particles_mpi.run.ending import PROGRAM, tell_end
+from particles_mpi.run.ending import PROGRAM, report_end
 from particles_mpi.run.files import RunFiles
 from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
@@ -84,7 +84,7 @@ class Job:
                 return
             seconds = {"setup": setup, "loop": perf_counter() - begin}
             phases = {name: total - before.get(name, 0.0) for name, total in sim.timers.seconds.items()}
-            tell_end(sim, self.plan, self.folder, self.screen, seconds, phases, begun_with, self.rows, not stopped)
+            report_end(sim, self.plan, self.folder, self.screen, seconds, phases, begun_with, self.rows, not stopped)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.files.give_up()
@@ -137,7 +137,7 @@ class Job:
             if n % output.checkpoint_every == 0 or final:
                 self.save()
             if pace and (forecast := pace.due_forecast()) and (n < self.last or self.rehearsal):
-                self.foretell(forecast)
+                self.print_forecast(forecast)
             if n >= shown + SHOW_EVERY:
                 shown = n
                 show(n, row)
@@ -149,7 +149,7 @@ class Job:
             show(sim.steps_done, row)
         return stopped
 
-    def foretell(self, forecast: Forecast) -> None:
+    def print_forecast(self, forecast: Forecast) -> None:
         """Print how long the run takes, and print it again if that changes."""
         before = self.forecast
         if before and before.least <= forecast.seconds <= before.most:
