@@ -3,6 +3,8 @@
 The velocity of row i stands in `v[i, column:]`, because rows of mode event hold place, velocity and more in one array.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from particles_mpi.contacts.rough import FRICTION, strike_wall
@@ -10,9 +12,20 @@ from particles_mpi.contacts.velocity_flow import change_of, row_of
 from particles_mpi.kernels.jit import lean, lean_inner
 from particles_mpi.kernels.markers import NO_PARTNER
 from particles_mpi.kernels.motion import move_to
+from particles_mpi.particles import Array
 
 # Where so many bounces of one particle take less than that part of a step, it has no room, or bounces in a wedge without end.
 BOUNCES, LEAST_TIME = 1000, 1e-4
+
+
+class WallNotes(NamedTuple):
+    """What `drift_with_walls` notes of rows: hits, and rows near walls, only if there is room for them."""
+
+    start: Array  # (n,): when the last segment of each row near a wall begins
+    row: Array  # with hits
+    wall: Array  # the last wall of each of these, as -1 - wall
+    time: Array  # of that hit
+    near: Array  # rows that may be within `reach` of a wall at the end
 
 
 @lean_inner
@@ -141,15 +154,13 @@ def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, pl
 
 
 @lean
-def drift_with_walls(axes, x, v, radius, inverse_mass, last, h, planes, rates, rough, reach, near):
+def drift_with_walls(axes, x, v, radius, inverse_mass, notes, h, planes, rates, rough, reach):
     """Do x += v h with reflections by walls. In place on x, v (n, d).
 
-    Returns (number of hits, number of rows that got nowhere, number of rows in `near`, number of rows in `last`). `inverse_mass`
-    (n,), or no row where nothing depends on it. last: (start (n,), rows, walls, times): start is when the last segment of each
-    row begins; the others, if they have room, list the rows with hits, the last wall of each as -1 - wall, and the time of that
-    hit. `near` (n,), if it has room, lists the rows that may be within `reach` of a wall at the end.
+    Returns (number of hits, number of rows that got nowhere, number of rows in `notes.near`, number of rows in `notes.row`).
+    `inverse_mass` (n,), or no row where nothing depends on it.
     """
-    start, last_row, last_wall, last_time = last
+    start, last_row, last_wall, last_time, near = notes
     hits, missed, found, noted = 0, 0, 0, 0
     for i in range(len(x)):
         if not may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i] + reach, h, planes):  # far from all walls, as most are

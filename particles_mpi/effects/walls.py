@@ -8,7 +8,7 @@ from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.law import loss
 from particles_mpi.contacts.rough import Rough, takes_energy
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import drift_with_walls
+from particles_mpi.contacts.walls import WallNotes, drift_with_walls
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Particles
 from particles_mpi.scene.effect import FORWARD, EffectOptions, Needs, WallContacts
@@ -92,10 +92,8 @@ class Effect(WallContacts):
         fields = p.position, p.velocity, p.radius, w
         d, spin = p.dimension, p.arrays.get("spin", np.empty((0, 1)))
         rough = Rough(spin, p.inverse_inertia, self.law, np.empty(d), np.empty(d))
-        no_rows = np.empty(0, np.int64)  # rows that end near walls are not listed
-        n = len(p) if noting else 0
-        row, wall, time = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
-        last = np.empty(len(p)), row, wall, time
-        hits, missed, _, noted = drift_with_walls(axes, *fields, last, h, tuple(self.planes), rates, rough, 0.0, no_rows)
+        n, no_rows = len(p) if noting else 0, np.empty(0, np.int64)
+        notes = WallNotes(np.empty(len(p)), np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n), near=no_rows)
+        hits, missed, _, noted = drift_with_walls(axes, *fields, notes, h, tuple(self.planes), rates, rough, 0.0)
         fixed = {"id": no_rows, "place": np.empty((0, d)), "radius": np.empty(0)}
-        return hits, missed, LastContacts(row[:noted], wall[:noted], time[:noted], fixed)
+        return hits, missed, LastContacts(notes.row[:noted], notes.wall[:noted], notes.time[:noted], fixed)
