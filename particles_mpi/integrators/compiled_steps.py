@@ -7,18 +7,9 @@ from typing import NamedTuple
 
 from particles_mpi.contacts.walls import finish_bounces
 from particles_mpi.integrators.collocation import END, FORCES, STUCK, begin, copy, go_on
-from particles_mpi.integrators.step_parts import (
-    copy_rows,
-    invalid,
-    keep_on_walls,
-    kick_bodies,
-    may_meet,
-    move,
-    set_rates,
-    sum_forces,
-)
+from particles_mpi.integrators.step_parts import invalid, keep_on_walls, kick_bodies, may_meet, move, set_rates, sum_forces
 from particles_mpi.kernels.jit import lean
-from particles_mpi.kernels.motion import kick
+from particles_mpi.kernels.motion import copy_rows, kick
 from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.particles import Array
 

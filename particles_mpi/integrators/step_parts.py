@@ -179,14 +179,6 @@ def kick_bodies(bodies, forces, losses, space, part, h, drift):
 
 
 @in_place
-def copy_rows(given, into):
-    """into (n, d) = given."""
-    for i in range(given.shape[0]):
-        for k in range(given.shape[1]):
-            into[i, k] = given[i, k]
-
-
-@in_place
 def may_meet(axes, bodies, space, h):
     """May a particle meet another one or a wall in a drift over h?"""
     return not all_clear(axes, bodies.x, bodies.v, bodies.radius, h, space.length, space.bounded, space.planes)

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from particles_mpi.kernels.jit import lean, lean_in_place, lean_inner
+from particles_mpi.kernels.jit import in_place, lean, lean_in_place, lean_inner
 
 
 class Segments(NamedTuple):
@@ -29,6 +29,14 @@ def kick(v, a, h):
 
 
 free_drift = kick
+
+
+@in_place
+def copy_rows(given, into):
+    """into (n, d) = given."""
+    for i in range(given.shape[0]):
+        for k in range(given.shape[1]):
+            into[i, k] = given[i, k]
 
 
 @lean
