@@ -30,23 +30,13 @@ class Job:
     """
 
     def __init__(
-        self,
-        sim: Any,
-        folder: Path,
-        *,
-        quiet: bool = False,
-        overwrite: bool = False,
-        resumed: bool = False,
-        steps: int | None = None,
-        wall_time: float | None = None,
-        setup_began: float | None = None,
-        rehearsal: bool = False,
-        notes: Sequence[str] = (),
-        scene_file: Path | None = None,
-    ):
+        self, sim: Any, folder: Path, *, quiet: bool = False, overwrite: bool = False, resumed: bool = False,
+        steps: int | None = None, wall_time: float | None = None, setup_began: float | None = None, rehearsal: bool = False,
+        notes: Sequence[str] = (), scene_file: Path | None = None,
+    ):  # fmt: skip
         self.sim, self.folder, self.scene, self.ranks = sim, folder, sim.scene, sim.ranks
         known = identity_of(folder / "checkpoint.h5", self.ranks)
-        own = known is not None and sim.saved == (folder.resolve(), sim.steps_done, known)
+        own = known is not None and sim.output_record.saved == (folder.resolve(), sim.steps_done, known)
         self.resumed = resumed or (own and not overwrite)  # a simulation goes on with its own run
         limit: Any = wall_time  # a script may give anything
         options = {"output": str(folder), "steps": steps, "overwrite": overwrite, "resume": self.resumed}

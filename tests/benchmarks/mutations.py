@@ -213,7 +213,7 @@ MUTATIONS = (
         "the interval of observables is not in a checkpoint",
         "between_steps/saved.py",
         'since in metadata["observed"].items()}',
-        "since in sim.observed.items()}",
+        "since in sim.output_record.observed.items()}",
         ("tests/parallel/test_nothing_lost.py", "-k", "every_effect"),
     ),
     Mutation(
