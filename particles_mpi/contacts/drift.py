@@ -43,13 +43,9 @@ class Drift:
     """
 
     def __init__(
-        self,
-        rows: Particles,
-        context: Context,
-        effects: ActiveEffects,
-        persistent: PersistentContacts | None,
+        self, rows: Particles, context: Context, effects: ActiveEffects, persistent: PersistentContacts | None,
         accelerations: Callable[[], Array | None],
-    ):
+    ):  # fmt: skip
         self.rows, self.context, self.effects, self.persistent = rows, context, effects, persistent
         self.totals, self.calls = dict.fromkeys(COUNTS, 0), Counter[str]()
         if persistent:
