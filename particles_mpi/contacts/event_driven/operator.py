@@ -182,10 +182,9 @@ class EventDriven:
     def count_tc_elastic(self, moment: float, engine: Engine) -> None:
         """Count the contacts that took no energy, and keep the first ones."""
         count, before = int(engine.work.counts[TC_ELASTIC]), self.tc_elastic
-        if count and not before.number:
-            self.tc_elastic = ElasticContacts(count, moment, engine.work.tc_elastic[:count].copy())
-        else:
-            self.tc_elastic = before._replace(number=before.number + count)
+        if count:
+            kept = before if before.number else ElasticContacts(0, moment, engine.work.tc_elastic[:count].copy())
+            self.tc_elastic = kept._replace(number=before.number + count)
 
     def pass_by(self, h: float, drifts: int) -> None:
         """Do nothing about drifts that were done elsewhere: the next drift notices by itself that rows have moved."""
