@@ -63,15 +63,17 @@ class ClosingKick:
         """Complete the impulses, after the closing kick with accelerations a (n, d). Changes velocities and spins. Collective."""
         if self.last is None:
             return
-        p, last = self.rows, self.last
+        p, (row, partner, time, fixed) = self.rows, self.last
         self.forget()
         before = p.arrays.get("free_acceleration", p["total_acceleration"])
         if not self.rough:
-            last = self.finish_at_walls(last, before, a)
-        row = last.row
+            walls, pairs = partner < 0, partner >= 0
+            hits = row[walls], partner[walls], time[walls]
+            finish_bounces(p.velocity, before, a, *hits, len(hits[0]), self.h, self.planes.normal, self.planes.restitution)
+            row, partner, time = row[pairs], partner[pairs], time[pairs]
         if self.ranks.size == 1 and not len(row):  # most steps of few particles, which would take twice as long
             return
-        table = self.table(last, a[row] - before[row])
+        table = self.table(row, partner, time, fixed, a[row] - before[row])
         by, met = self.impulses(table)
         if self.ranks.size > 1:
             by[~met] = self.across_ranks({name: column[~met] for name, column in table.items()})
@@ -79,17 +81,9 @@ class ClosingKick:
         if self.rough:
             p["spin"][row] += by[: len(row), p.dimension :]
 
-    def finish_at_walls(self, last: LastContacts, before: Array, a: Array) -> LastContacts:
-        """Complete the impulses of contacts with smooth walls; returns the other contacts."""
-        row, partner, time, fixed = last
-        walls, pairs = partner < 0, partner >= 0
-        hits = row[walls], partner[walls], time[walls]
-        finish_bounces(self.rows.velocity, before, a, *hits, len(hits[0]), self.h, self.planes.normal, self.planes.restitution)
-        return LastContacts(row[pairs], partner[pairs], time[pairs], fixed)
-
-    def table(self, last: LastContacts, change: Array) -> dict[str, Array]:
+    def table(self, row: Array, partner: Array, time: Array, fixed: dict[str, Array], change: Array) -> dict[str, Array]:
         """Return a table of all partners of contacts: first our rows, then partners that are fixed, and walls."""
-        p, (row, partner, time, fixed) = self.rows, last
+        p = self.rows
         ours = {
             "id": p.id[row],
             "place": p.position[row],

@@ -19,13 +19,12 @@ BOUNCES, LEAST_TIME = 1000, 1e-4
 
 
 class WallNotes(NamedTuple):
-    """What `drift_with_walls` notes of rows: hits, and rows near walls, only if there is room for them."""
+    """What `drift_with_walls` notes of rows; of hits only if there is room. Kernels take it as a plain tuple."""
 
     start: Array  # (n,): when the last segment of each row near a wall begins
     row: Array  # with hits
     wall: Array  # the last wall of each of these, as -1 - wall
     time: Array  # of that hit
-    near: Array  # rows that may be within `reach` of a wall at the end
 
 
 @lean_inner
@@ -154,13 +153,14 @@ def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, pl
 
 
 @lean
-def drift_with_walls(axes, x, v, radius, inverse_mass, notes, h, planes, rates, rough, reach):
+def drift_with_walls(axes, x, v, radius, inverse_mass, notes, h, planes, rates, rough, reach, near):
     """Do x += v h with reflections by walls. In place on x, v (n, d).
 
-    Returns (number of hits, number of rows that got nowhere, number of rows in `notes.near`, number of rows in `notes.row`).
-    `inverse_mass` (n,), or no row where nothing depends on it.
+    Returns (number of hits, number of rows that got nowhere, number of rows in `near`, number of rows in `notes`, a `WallNotes`).
+    `inverse_mass` (n,), or no row where nothing depends on it. `near` (n,), if it has room, lists the rows that may be within
+    `reach` of a wall at the end.
     """
-    start, last_row, last_wall, last_time, near = notes
+    start, last_row, last_wall, last_time = notes
     hits, missed, found, noted = 0, 0, 0, 0
     for i in range(len(x)):
         if not may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i] + reach, h, planes):  # far from all walls, as most are

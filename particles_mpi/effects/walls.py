@@ -87,13 +87,12 @@ class Effect(WallContacts):
         self.law = np.array([(0.0, 0.0), *self.surfaces])
 
     def drift(self, particles: Particles, h: float, rates: Rates, noting: bool) -> tuple[int, int, LastContacts]:
-        p, axes = particles, (0,) * particles.dimension
+        p, d = particles, particles.dimension
         w = p.inverse_mass if rates.alpha or self.law.any() else np.empty(0)
-        fields = p.position, p.velocity, p.radius, w
-        d, spin = p.dimension, p.arrays.get("spin", np.empty((0, 1)))
-        rough = Rough(spin, p.inverse_inertia, self.law, np.empty(d), np.empty(d))
+        fields = (0,) * d, p.position, p.velocity, p.radius, w
+        rough = Rough(p.arrays.get("spin", np.empty((0, 1))), p.inverse_inertia, self.law, np.empty(d), np.empty(d))
         n, no_rows = len(p) if noting else 0, np.empty(0, np.int64)
-        notes = WallNotes(np.empty(len(p)), np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n), near=no_rows)
-        hits, missed, _, noted = drift_with_walls(axes, *fields, notes, h, tuple(self.planes), rates, rough, 0.0)
+        notes = WallNotes(np.empty(len(p)), np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n))
+        hits, missed, _, noted = drift_with_walls(*fields, tuple(notes), h, tuple(self.planes), rates, rough, 0.0, no_rows)
         fixed = {"id": no_rows, "place": np.empty((0, d)), "radius": np.empty(0)}
         return hits, missed, LastContacts(notes.row[:noted], notes.wall[:noted], notes.time[:noted], fixed)

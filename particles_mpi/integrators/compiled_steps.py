@@ -75,8 +75,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
             if scheme.taylor:
                 kick(bodies.v, rate, kicked)
         if noted > 0:
-            last = space.notes.row, space.notes.wall, space.notes.time
-            finish_bounces(bodies.v, space.rates, bodies.total, *last, noted, h, space.planes[1], space.planes[2])
+            finish_bounces(bodies.v, space.rates, bodies.total, *space.notes[1:], noted, h, space.planes[1], space.planes[2])
         spent = step_ns * step + HIT * hits + ON_WALLS * resting
         if spent >= most_ns or (step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
             return step, hits, missed, sums, known

@@ -210,9 +210,8 @@ class ManySteps:
         reach = self.persistent.walls.reach(p.fixed, p[SUM], h) if on_walls.kept and n else 0.0
         smooth = no_spins(d, np.zeros((1 + len(planes.point), 2)))
         noting = n if effects.finishes_bounces else 0
-        near = np.empty(len(on_walls.supported), np.int64)
-        notes = WallNotes(np.empty(n), np.empty(noting, np.int64), np.empty(noting, np.int64), np.empty(noting), near)
-        space = Space(tuple(planes), bool(effects.walls), a, own, *box, notes, smooth, reach, on_walls)
+        notes = WallNotes(np.empty(n), np.empty(noting, np.int64), np.empty(noting, np.int64), np.empty(noting))
+        space = Space(tuple(planes), bool(effects.walls), a, own, *box, tuple(notes), smooth, reach, on_walls)
         return RowsTogether(bodies, self.forces_on(p), self.losses_of(p, h), space)
 
     def forces_on(self, p: Particles) -> Forces:
@@ -236,7 +235,8 @@ class ManySteps:
         walls = persistent.walls if persistent else Walls(no_planes(d), NONE, NONE)
         supported = p["supported"] if persistent else np.empty(0, np.uint8)
         (point, normal), n = walls.planes, len(supported)
-        room = np.empty(n, np.int64), np.empty((n, d)), np.empty(n, np.int64), np.empty((n, d))
+        scratch = np.empty(n, np.int64)
+        room = scratch, scratch.copy(), np.empty((n, d)), scratch.copy(), np.empty((n, d))
         return OnWalls(persistent is not None, (0.0,) * d, supported, point, normal, walls.faces, *room)
 
     def losses_of(self, p: Particles, h: float) -> StepLosses:

@@ -8,7 +8,7 @@ from particles_mpi.contacts.persistent.rows import hand_over
 from particles_mpi.contacts.persistent.walls import near_walls, near_walls_among
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import WallNotes, drift_with_walls
+from particles_mpi.contacts.walls import drift_with_walls
 from particles_mpi.gravity.direct import attract_few
 from particles_mpi.kernels.geometry import wrap
 from particles_mpi.kernels.jit import in_place, kernel, lean_inner
@@ -62,6 +62,7 @@ class OnWalls(NamedTuple):
     point: Array  # of the walls that take energy
     normal: Array
     faces: tuple[Array, Array, bool]
+    near: Array  # (n,): rows near walls
     pushed: Array  # (n,): rows that contacts push
     given: Array  # (n, d): velocities given to them
     had: Array  # (n,): rows whose rates have that in them
@@ -78,7 +79,7 @@ class Space(NamedTuple):
     lower: Array  # (d,): of the box
     upper: Array
     length: Array
-    notes: WallNotes  # room for hits only where the closing kick finishes bounces, for rows near walls where contacts last
+    notes: tuple[Any, ...]  # `WallNotes`, with room for hits only where the closing kick finishes bounces
     smooth: Rough  # for walls, which are not rough here
     reach: float  # rows that may be so near to walls are found, if contacts with walls last
     on_walls: OnWalls
@@ -104,14 +105,14 @@ def sum_forces(axes, x, mass, fixed, forces, total):
 def keep_on_walls(axes, bodies, losses, part, space, h, kicked, near):
     """Keep contacts with walls, as `PersistentContacts.keep` does, after kick number `part` over a time `kicked`.
 
-    near: how many rows of `notes.near` are filled; -1 if rows near walls are not known. Returns (how many rows contacts push, for
-    how many rows contacts were solved).
+    near: how many rows of `on_walls.near` are filled, with the rows near walls; -1 if they are not known. Returns (how many rows
+    contacts push, for how many rows contacts were solved).
     """
     on_walls = space.on_walls
     x, v, a, radius, supported = bodies.x, bodies.v, bodies.total, bodies.radius, on_walls.supported
     planes = on_walls.point, on_walls.normal
     if near >= 0:
-        rows = near_walls_among(on_walls.axes, space.notes.near[:near], x, v, a, radius, supported, h, planes)
+        rows = near_walls_among(on_walls.axes, on_walls.near[:near], x, v, a, radius, supported, h, planes)
     else:
         rows = near_walls(on_walls.axes, x, v, a, radius, bodies.fixed, supported, h, on_walls.faces, planes)
     if len(rows) == 0:
@@ -147,12 +148,12 @@ def set_rates(axes, bodies, space, before, pushed, t_mid):
 
 @in_place
 def move(axes, bodies, space, strength, h, t_mid):
-    """Drift as `Drift.advance` does without pairs; returns what `drift_with_walls` does, and notes what it does."""
+    """Drift as `Drift.advance` does without pairs; returns what `drift_with_walls` does, with near rows in `on_walls.near`."""
     hits, missed, near, noted = 0, 0, 0, 0
     if space.bounded:
         rates = Rates(space.rates, bodies.drag, strength, t_mid)
         fields = bodies.x, bodies.v, bodies.radius, bodies.inverse_mass
-        walls = space.planes, rates, space.smooth, space.reach
+        walls = space.planes, rates, space.smooth, space.reach, space.on_walls.near
         hits, missed, near, noted = drift_with_walls(axes, *fields, space.notes, h, *walls)
     else:
         free_drift(bodies.x, bodies.v, h)
