@@ -3,7 +3,9 @@
 import json
 import platform
 import sys
+from dataclasses import dataclass
 from importlib.metadata import version
+from math import inf, isnan, nan
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -30,22 +32,52 @@ elif (PROJECT / "run.sh").is_file():
     PROGRAM = as_typed(PROJECT / "run.sh")
 else:
     PROGRAM = "particles-mpi"
-NOTICEABLE = 0.01  # change of the energy, where there should be none, that is printed
+NOTICEABLE = 0.01  # change of the energy, where there should be none, over the largest kinetic energy, that is printed
+ADAPTIVE = ', or time.integrator = "adaptive"'
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
+
+
+@dataclass
+class Energies:
+    """Energies in the diagnostics of a run: the `first` and `last` total, the largest kinetic one, the range of potentials."""
+
+    first: float = nan
+    last: float = nan
+    kinetic: float = 0.0
+    lowest: float = inf
+    highest: float = -inf
+
+    def add(self, total: float, kinetic: float) -> None:
+        """Take note of a row."""
+        self.first = total if isnan(self.first) else self.first
+        self.last, self.kinetic = total, max(self.kinetic, kinetic)
+        self.lowest, self.highest = min(self.lowest, total - kinetic), max(self.highest, total - kinetic)
+
+    def remarks(self, effects: Any) -> list[str]:
+        """Return a line if the energy changed, or rose where there are losses, by more than NOTICEABLE.
+
+        This is relative to the largest kinetic energy, or to the change of the potential energy, whose zero is arbitrary.
+        """
+        change = self.last - self.first
+        takes, largest = not effects.conserves_energy, max(self.kinetic, self.highest - self.lowest)
+        if not effects.gives_no_energy or not (change if takes else abs(change)) > NOTICEABLE * largest:
+            return []
+        better = "" if effects.integrator == "adaptive" or effects.pairs or effects.walls or takes else ADAPTIVE
+        why = "no effect of the scene gives any" if takes else "nothing here takes or gives any"
+        return [f"total energy: from {self.first:.4g} to {self.last:.4g}, though {why}: shorten time.step{better}"]
 
 
 def report_end(
     sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], phases: dict[str, float],
-    first: int, rows: list[Any], ended: bool,
+    first: int, energies: Energies, ended: bool,
 ) -> None:  # fmt: skip
     """Print the phase table and the remarks of a run, and write `run.json` into its folder. Collective.
 
     `ended`: was its last step done, or was the run stopped? `seconds`: of this rank for the set-up and for the loop, which began
-    with the step `first`; `phases`: for those of the loop. `rows` of diagnostics: those of the start, if this is not a part of a
-    run, and of the end.
+    with the step `first`; `phases`: for those of the loop. `energies`: of the rows of diagnostics.
     """
     timers, counts = phase_seconds(sim, seconds, phases), run_counts(sim)
-    remarks = sim.remarks() + energy_remarks(sim.active, rows)
+    remarks = sim.remarks() + energies.remarks(sim.active)
     screen.phases(timers, sim.steps_done - first, sim.total)
     say = screen.say
     if windows := counts.get("windows"):
@@ -68,21 +100,6 @@ def report_end(
         if (plots := PROJECT / "python_viz").is_dir():
             python, script = as_typed(Path(sys.executable)), as_typed(plots / "plot_frame.py")
             say(f"plots: {python} {script} {shown}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
-
-
-def energy_remarks(effects: Any, rows: list[Any]) -> list[str]:
-    """Return a line where nothing takes or gives energy, but it changed by more than NOTICEABLE of its value."""
-    if len(rows) < 2 or not effects.conserves_energy:
-        return []
-    first, last = rows[0], rows[-1]
-    largest, change = max(first["kinetic"], abs(first["potential"])), last["total_energy"] - first["total_energy"]
-    if not abs(change) > NOTICEABLE * largest:
-        return []
-    integrator = "" if effects.integrator == "adaptive" or effects.pairs or effects.walls else ', or time.integrator = "adaptive"'
-    return [
-        f"total energy: from {first['total_energy']:.4g} to {last['total_energy']:.4g}, though nothing here takes or gives any:"
-        f" shorten time.step{integrator}"
-    ]
 
 
 def phase_seconds(sim: Any, seconds: dict[str, float], phases: dict[str, float]) -> dict[str, dict[str, float]]:

@@ -75,10 +75,15 @@ class ActiveEffects:
         return self.integrator == "leapfrog" and bool(self.forces) and self.lossy
 
     @property
-    def conserves_energy(self) -> bool:
-        """Does nothing change velocities but forces that have a potential, and contacts that take no energy?"""
+    def gives_no_energy(self) -> bool:
+        """Have all forces a potential, so that it takes an event or a user's flow to give energy to particles?"""
         known = all(type(force).potential is not kinds.Force.potential for force in self.forces.values())
-        return known and not (self.on_velocities or self.events or self.lossy)
+        return known and not (self.flows or self.events)
+
+    @property
+    def conserves_energy(self) -> bool:
+        """Is the total energy constant: do forces have a potential, and does no other effect or contact change energy?"""
+        return self.gives_no_energy and not (self.on_velocities or self.lossy)
 
     @property
     def finishes_bounces(self) -> bool:

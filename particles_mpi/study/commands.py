@@ -59,7 +59,9 @@ def accuracy(
 def recommend(
     scene: SceneFile,
     tolerance: Annotated[float, typer.Option(help="Error that is allowed, relative.")],
-    error: Annotated[str, typer.Option(metavar="NAME", help="Of what: state, energy, ... (default: the strictest).")] = "",
+    error: Annotated[
+        str, typer.Option(metavar="NAME", help="Of what: state, energy, ... (default: all that can be measured so finely).")
+    ] = "",
     output: TunedFile = None,
     seconds: Annotated[float, typer.Option(min=1.0, help="About how long to measure.")] = 60.0,
 ) -> None:

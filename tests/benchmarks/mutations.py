@@ -356,6 +356,27 @@ MUTATIONS = (
         "np.clip(total, ",
         ("tests/unit/output/test_killed_while_writing.py",),
     ),
+    Mutation(
+        "a recommended setting reaches the first error only",
+        "study/recommend/error_metric.py",
+        "for name in ([error] if error else finest)",
+        "for name in [first]",
+        ("tests/physics/test_recommend.py", "-k", "above_the_tolerance"),
+    ),
+    Mutation(
+        "the energy of a run is compared with that of its start, wherever height is zero",
+        "run/ending.py",
+        "max(self.kinetic, self.highest - self.lowest)",
+        "max(self.kinetic, abs(self.first))",
+        ("tests/unit/run/test_remarks.py",),
+    ),
+    Mutation(
+        "spheres without room that friction presses together meet without end",
+        "contacts/event_driven/operator.py",
+        "MOST_RATTLING if effects.lossy and effects.on_velocities else NEVER_CROWDED",
+        "NEVER_CROWDED",
+        ("tests/hard_cases/test_jammed.py", "-k", "friction_presses"),
+    ),
 )
 
 

@@ -31,7 +31,7 @@ def settings(start: Start) -> Experiment:
     if not metric.limits:
         raise SceneError("particles: nothing in this scene has an error")
     error, limit = next(iter(metric.limits.items()))  # the most telling
-    search = Search(start, metric, error, 1.0, 2.0 * BUDGET_SECONDS / 3.0)
+    search = Search(start, metric, {error: 1.0}, 2.0 * BUDGET_SECONDS / 3.0)
     steps = [k * max(start.scene.steps, 4) for k in (STEP_FACTORS[1:4] if quick else STEP_FACTORS)]
     search.attempt(*as_it_is(start))
     for method in methods(start):

@@ -6,7 +6,8 @@ error of the reference itself, or, where motion is chaotic, from the spread of r
 Names of errors, all relative numbers:
 - state: largest distance of any particle from its place in the reference, at the snapshots (up to 16, evenly over the run), over
   the size of the motion
-- energy: largest |E - E_true| over |E| of the start, or over the largest kinetic energy where |E| is below a hundredth of it
+- energy: largest |E - E_true| over |E| of the start; where that is small, or has an arbitrary zero, as under all forces but
+  `mutual_gravity`, over the largest kinetic energy, or the largest change of the potential one
 - collision rate, wall hits, kinetic energy: of the whole run, over those of the reference; height: over the height of fall
 States are compared if a displaced start ends up at nearly the same place; otherwise the other errors are used.
 """
@@ -78,14 +79,9 @@ class ErrorMetric:
             return abs(self.errors(one)[error] - self.errors(other)[error])
         return abs(one.observables[error] - other.observables[error]) / self.scale_of(error)
 
-    def compare_energies(self, energies: Array, kinetic: float) -> None:
-        """Compare energies from now on, relative to that of the start, or to the largest kinetic one where that is near 0."""
-        start = abs(float(energies[0]))
-        self.scale = start if start > 0.01 * kinetic else kinetic
-
     def add_energy(self, record: Record) -> None:
         """Take the energies of a good run as the true ones, if there is anything to compare."""
-        self.compare_energies(record.energies, float(record.kinetic.max()))
+        self.scale = energy_scale(self.start, record.energies, record.kinetic)
         if self.scale > 0.0 and (self.start.forces or self.start.dissipates):
             self.energy = record.energy
             self.limits["energy"] = ROUND_OFF * 10.0
@@ -94,16 +90,27 @@ class ErrorMetric:
         """Part of the whole run's tolerance left for the measured part: errors of places grow evenly at best, others do not."""
         return self.part if error == "state" else 1.0
 
-    def choose(self, tolerance: float, error: str) -> str:
-        """The error that a tolerance is for ("": the most telling); SceneError where it cannot be measured, or not so finely."""
-        error = error or next(iter(self.limits), "")
-        if error not in self.limits:
+    def choose(self, tolerance: float, error: str) -> Errors:
+        """Return the errors that a tolerance is for, each with what it may be in the measured part, the most telling one first.
+
+        `error`: the only one; "": all that can be measured so finely. Raises SceneError if it, or the most telling one, cannot.
+        """
+        first = error or next(iter(self.limits), "")
+        if first not in self.limits:
             there = "; ".join(self.limits) or "none"
             raise SceneError(f"--error {error or 'any'}: cannot be measured here ({self.why}); there are: {there}")
-        limit = self.limits[error] / self.share(error)
-        if tolerance < limit:
-            finer = [f"{name} {size / self.share(name):.1g}" for name, size in self.limits.items() if name != error]
+        finest = {name: limit / self.share(name) for name, limit in self.limits.items()}
+        if tolerance < finest[first]:
+            finer = [f"{name} {limit:.1g}" for name, limit in finest.items() if name != first]
             others = f"; --error has {', '.join(finer)}" if finer else ""
-            below = f"--tolerance {tolerance:g} is below what can be measured here: {error} {limit:.1g} ({self.why}){others}"
+            below = (
+                f"--tolerance {tolerance:g} is below what can be measured here: {first} {finest[first]:.1g} ({self.why}){others}"
+            )
             raise SceneError(below)
-        return error
+        return {name: tolerance * self.share(name) for name in ([error] if error else finest) if finest[name] <= tolerance}
+
+
+def energy_scale(start: Start, energies: Array, kinetic: Array) -> float:
+    """Return what errors of the energy are relative to, see above. `energies`, `kinetic` (n,): at moments of a run."""
+    first, most = abs(float(energies[0])), max(float(kinetic.max()), float(np.ptp(energies - kinetic)))
+    return first if first > 0.01 * most and set(start.forces) <= {"mutual_gravity"} else most

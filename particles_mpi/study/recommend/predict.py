@@ -28,7 +28,7 @@ from particles_mpi.run.forecast import Forecast
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import TOLERANCES
 from particles_mpi.study.experiment import Benchmark, total_count
-from particles_mpi.study.recommend.error_metric import ROUND_OFF
+from particles_mpi.study.recommend.error_metric import ROUND_OFF, energy_scale
 from particles_mpi.study.recommend.lost_collisions import beside_event
 from particles_mpi.study.recommend.methods import DIRECT
 from particles_mpi.study.recommend.reference import MOST_FOR_DIRECT_SUM
@@ -68,14 +68,14 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
     if not sim.total or not scene.steps:
         return Prediction(None, ["predicted: nothing happens"])
     try:
-        start, began = sim.copy() if sim.total <= MOST_TO_REPEAT else None, perf_counter()
+        start, first, began = sim.copy() if sim.total <= MOST_TO_REPEAT else None, sim.measure(), perf_counter()
         forecast = rehearse(sim)
         compiled = perf_counter() - began > COMPILED_IF_LONGER + 10.0 * forecast.step  # a run will find those kernels
         if start and ranks.any(compiled):
             forecast = rehearse(start)
         costs = costs_of(sim, forecast.step)
         errors = (
-            predict_contacts(sim, benchmark, forecast.step)
+            predict_contacts(sim, benchmark, forecast.step) + energy_change(sim, first)
             if "collisions" in scene.active
             else predict_steps(benchmark, scene, forecast.step)
         )
@@ -156,7 +156,8 @@ def predict_contacts(sim: Simulation, benchmark: Benchmark, step: float) -> list
     if rate == 0.0:
         return ["predicted error: nothing collides in the first steps"]
     if options.mode == "event":
-        what = "; forces between them are second order in the step" if forced else ""
+        order = "a user's flow between them is first order" if active.flows else "forces between them are second order"
+        what = f"; {order} in the step" if forced else ""
         lines = [f"predicted error: contacts are exact in mode event{what}"]
     else:
         lines = [f"predicted error: {compared} (a particle has {rate * h:.2g} in a step, passes {options.passes})"]
@@ -168,6 +169,19 @@ def predict_contacts(sim: Simulation, benchmark: Benchmark, step: float) -> list
             f"t = {CHAOS_AFTER / rate:.2g}, places mean nothing, means over many do"
         )
     return lines
+
+
+def energy_change(sim: Simulation, first: dict[str, Any]) -> list[str]:
+    """Return a line with the change of the energy in the steps done, where it should be constant under forces. Collective.
+
+    `first`: what `measure` gave at the start. The change is relative to the larger kinetic energy of the two moments.
+    """
+    now, active = sim.measure(), sim.active
+    kinetic = max(first["kinetic"], now["kinetic"])
+    if not (active.conserves_energy and active.forces and kinetic > 0.0 and isfinite(now["total_energy"])):
+        return []
+    change = abs(now["total_energy"] - first["total_energy"]) / kinetic
+    return [f"predicted error: energy changes by {change:.1g} of the kinetic energy until t = {sim.time:.3g}"]
 
 
 def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
@@ -226,16 +240,23 @@ def describe_differences(start: Start, records: list[Record], span: float) -> st
     if start.scene.time.integrator == "adaptive":
         return f"predicted error: places {max(one, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"
     (two,) = finer
-    if two <= 100.0 * ROUND_OFF or one <= two:
-        bound = max(one, two, ROUND_OFF)
-        coarse = f"about {bound:.1g} of the size of the motion, of no order: steps are too long"
-        return f"predicted error: places at {where}: {'round-off only' if bound < 1e-12 else coarse}"
+    later = "later ones are not measured" if span <= 0.99 * start.duration else ""
+    left_out = start.untravelled(span / records[0].steps) / size
+    largest = float(np.abs(records[0].places).max(initial=0.0))
+    round_off = max(1e3, records[-1].steps * largest / size) * ROUND_OFF
+    if left_out > max(one, two):
+        stops = f"places {left_out:.1g} of the size of the motion, for drag stops particles within a step"
+        return f"predicted error: {stops}" + (f" ({later})" if later else "")
+    if one <= two or two <= 100.0 * ROUND_OFF or max(one, two) <= 1e3 * ROUND_OFF:
+        coarse = f"about {max(one, two):.1g} of the size of the motion, of no order: steps are too long"
+        what = "round-off only" if max(one, two) <= round_off else coarse
+        return f"predicted error: places at {where}: {what}" + (f" ({later})" if later else "")
     order = log2(one / two)
     error = one * 2.0**order / (2.0**order - 1.0)
     line = f"predicted error: places {error:.1g} of the size of the motion at {where}, order {order:.1f}"
-    if span <= 0.99 * start.duration:
-        line += f" (later ones are not measured: {error * start.duration / span:.1g} at the end if errors grow evenly)"
-    energies = records[0].energies
-    if start.conserves and start.forces and isfinite(energies[0]) and energies[0] != 0.0:
-        line += f"; energy {float(np.abs(energies / energies[0] - 1.0).max()):.1g} until then"
+    if later:
+        line += f" ({later}: {error * start.duration / span:.1g} at the end if errors grow evenly)"
+    if start.conserves and start.forces:
+        energies, scale = records[0].energies, energy_scale(start, records[0].energies, records[0].kinetic)
+        line += f"; energy {float(np.abs(energies - energies[0]).max()) / scale:.1g} until then" if scale > 0.0 else ""
     return line

@@ -69,11 +69,15 @@ def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommen
     progress = benchmark.screen.count("recommend", 1 + len(ways))
     progress("reference")
     metric = reference(start, seconds, error)
-    error = metric.choose(tolerance, error)
-    search = Search(start, metric, error, tolerance * metric.share(error), seconds / 3.0)
+    search = Search(start, metric, metric.choose(tolerance, error), seconds / 3.0)
     own = search.attempt(as_given, resolution)
     # what is likely the cheapest comes first, and cuts the others short; only `adaptive` is sure to get through
-    order = {"order4": 1, "adaptive": 0 if own is None or own.errors[error] > UNUSABLE_ERROR else 2, "leapfrog": 3, "taylor": 4}
+    order = {
+        "order4": 1,
+        "adaptive": 0 if own is None or search.size(own.errors) > UNUSABLE_ERROR else 2,
+        "leapfrog": 3,
+        "taylor": 4,
+    }
     for method in sorted(ways, key=lambda method: order[method.integrator]):
         progress(f"search: {method.name}")
         search.along(method, search.first(method, own))
@@ -109,22 +113,26 @@ def enter_times(start: Start, trials: list[Trial], part: float) -> None:
 
 def nearest(search: Search) -> str:
     """The best of what was tried, in words."""
-    tried = [trial for trial in search.trials if isfinite(trial.errors[search.error])]
+    tried = [trial for trial in search.trials if isfinite(search.size(trial.errors))]
     if not tried:
         return "; ".join(f"{name}: {why}" for name, why in search.refused.items())
-    best = min(tried, key=lambda trial: trial.errors[search.error])
-    return f"the best is {best.name}, {search.error} {best.errors[search.error]:.2g}"
+    best = min(tried, key=lambda trial: search.size(trial.errors))
+    return f"the best is {best.name}, {search.described(best.errors)}"
 
 
 def report(screen: Screen, found: Recommendation) -> None:
     """All of it on the screen."""
-    metric, error, trial, s, say = found.search.metric, found.search.error, found.best, found.best.timed, screen.say
+    search, trial, s, say = found.search, found.best, found.best.timed, screen.say
+    metric, names = search.metric, ", ".join(search.tolerances)
     scene, method = metric.start.scene, trial.method
-    say(f": {metric.start.total} particles, {error} to {found.tolerance:g}", head=scene.title or "untitled scene")
-    say(f"  reference: {metric.reference}; {error} can be measured down to {metric.limits[error]:.1g} ({metric.why})")
+    say(f": {metric.start.total} particles, {names} to {found.tolerance:g}", head=scene.title or "untitled scene")
+    finest = ", ".join(f"{name} {metric.limits[name]:.1g}" for name in search.tolerances)
+    say(f"  reference: {metric.reference}; the smallest errors that can be measured: {finest} ({metric.why})")
+    if left_out := [f"{name} {limit:.1g}" for name, limit in metric.limits.items() if name not in search.tolerances]:
+        say(f"  no tolerance for what was not asked for, or cannot be measured so finely: {', '.join(left_out)}")
     if metric.part < 1.0:
         say(
-            f": a reference of all of it would take too long; {error} is held to {found.search.tolerance:.2g} there",
+            f": a reference of all of it would take too long; {search.described(search.tolerances)} there are enough",
             head=f"  errors are those of the first 1/{1 / metric.part:.0f} of the run (t = {metric.span:.4g})",
         )
     screen.table(trials_table(found))
@@ -137,12 +145,12 @@ def report(screen: Screen, found: Recommendation) -> None:
     if method.adaptive:
         finer, tolerance = "a tenth of the tolerance", f", {method.describe(trial.resolution, metric.part)}"
     say(
-        f": {error} {trial.errors[error]:.2g}; the whole run takes {s.median:.3g} s ({s.low:.3g} to {s.high:.3g}) on "
+        f": {search.described(trial.errors)}; the whole run takes {s.median:.3g} s ({s.low:.3g} to {s.high:.3g}) on "
         f"{metric.start.benchmark.ranks.size} rank(s), output not counted",
         head=f"recommended: {method.name}, {steps} steps of {metric.start.duration / steps:.6g}{tolerance}",
     )
-    differ = f"{found.difference:.2g} at most" + (", in every step" if error == "state" else "")
-    say(f"  verified at {finer}: {error} {found.half[error]:.2g}, the two runs differ by {differ}")
+    differ = f"{found.difference:.2g} at most" + (", in every step" if search.places else "")
+    say(f"  verified at {finer}: {search.described(found.half)}; the two runs differ by {differ}")
     if metric.part < 1.0:
         say(f"  not verified after t = {metric.span:.4g}: errors may grow faster there; --seconds gives time for more of the run")
 
@@ -178,10 +186,10 @@ def recommend_scene(
 
 def save(found: Recommendation, source: Path, target: Path) -> None:
     """Write the tuned scene; on one rank."""
-    error, ranks, metric = found.search.error, found.search.start.benchmark.ranks.size, found.search.metric
+    ranks, metric = found.search.start.benchmark.ranks.size, found.search.metric
     until = f" to t = {metric.span:.4g}, not measured after that" if metric.part < 1.0 else ""
     remark = (
-        f"by study recommend: {error} {found.best.errors[error]:.2g} (wanted: {found.tolerance:g}{until}), "
+        f"by study recommend: {found.search.described(found.best.errors)} (wanted: {found.tolerance:g}{until}), "
         f"about {found.best.timed.median:.2g} s on {ranks} rank(s)"
     )
     try:

@@ -14,7 +14,7 @@ from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.kernels.geometry import image_shifts
 from particles_mpi.parallel.agreement import await_all
 from particles_mpi.particles import Array
-from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric
+from particles_mpi.study.recommend.error_metric import ROUND_OFF, ErrorMetric, energy_scale
 from particles_mpi.study.recommend.methods import DIRECT, EVENT
 from particles_mpi.study.recommend.runs import (
     DISPLACEMENT,
@@ -36,6 +36,9 @@ ENSEMBLE_DISPLACEMENT = 1e-4  # of the size or the speed: members of an ensemble
 MOST_FOR_DIRECT_SUM = 3000  # for which a reference is computed by the direct sum, over all pairs
 ENSEMBLE_REFINEMENT, MOST_HALVINGS = 4, 9  # reference of a chaotic scene: steps that much shorter; of others: halvings at most
 ENSEMBLE_SIZE = 8  # runs
+DRAG_SHARE = 0.1  # of the seconds, at most, are for the first of a series of runs whose steps drag makes shorter
+NOISE = 10.0  # times what round-off can change: differences above are differences
+LEAST_ORDER, SLOWEST_ORDER = 1.5, 0.25  # of differences between steps: below the first they are not extrapolated; at least
 REFERENCE_SHARE = 1.0 / 3.0  # of the seconds given are for the reference
 
 
@@ -55,7 +58,8 @@ def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
     if found and found.part == 1.0:
         return found
     by_leapfrog = by_steps(start, seconds)  # which may be affordable for longer, where not all digits are wanted
-    return found if found and found.part >= by_leapfrog.part else by_leapfrog
+    doubtful = by_leapfrog.order < LEAST_ORDER
+    return found if found and (found.part >= by_leapfrog.part or doubtful) else by_leapfrog
 
 
 def exact_scene(start: Start, steps: int, duration: float, **time: Any) -> Scene:
@@ -124,8 +128,11 @@ def by_steps(start: Start, seconds: float) -> ErrorMetric:
     """Reference by ever shorter steps of the leapfrog, extrapolated; of an ensemble where motion is chaotic."""
     probe = start.simulate(exact_scene(start, start.scene.steps, start.duration))
     fine = ENSEMBLE_REFINEMENT if start.forces or start.dissipates else 1  # contacts alone are exact at any step
-    found = affordable(start, cost(start, probe, 0.02 * seconds) * (ENSEMBLE_SIZE * fine + 4.0), seconds)
-    steps = whole_parts(start.scene.steps * found.part, found.snapshots)
+    price = cost(start, probe, 0.02 * seconds)
+    found = affordable(start, price * (ENSEMBLE_SIZE * fine + 4.0), seconds)
+    needed = start.drag.max(initial=0.0) * found.span  # with fewer steps drag stops particles within a step
+    steps = max(start.scene.steps * found.part, min(needed, DRAG_SHARE * seconds / (price * start.scene.time.step)))
+    steps = whole_parts(steps, found.snapshots)
     scene = exact_scene(start, steps, found.span)
     first, displaced = (follow(start, start.simulate(scene, shifted, found.span), found.snapshots) for shifted in (0, 1))
     found.size = first.motion
@@ -141,6 +148,9 @@ def by_steps(start: Start, seconds: float) -> ErrorMetric:
                 found.energy = best[n:]
                 found.limits["energy"] += uncertainty / found.size
             return found
+        if start.untravelled(found.span / last.steps) > SATURATED * found.size:
+            raise SceneError("effects.drag: stops particles within the shortest steps that there is time for: shorten time.step")
+        found.why = f"places change by {uncertainty / found.size:.1g} of the size with shorter steps"
     return by_ensemble(found, first, steps, fine)
 
 
@@ -155,15 +165,19 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
         column.append(places_and_energies(records[-1], first, start.length))
         value, change = extrapolated(column)
         better = change < 0.5 * uncertainty  # if not, round-off or corners are all that is left
-        if change <= uncertainty:
-            best, uncertainty = value, change
+        by_chance = change > max(uncertainty, NOISE * limit)  # the last two agreed, as where an event falls into the same step
+        if by_chance or change <= uncertainty:
+            best, uncertainty, better = value, change, better or by_chance
         spent += records[-1].counted
     one, two = (start.apart(a.places, b.places) for a, b in pairwise(records[:3]))
     has_order = min(one, two) > limit
     found.order = float(np.log2(one / two)) if has_order else nan
     seen = f"order {found.order:.2f}" if has_order else "no error of the step"
     found.reference = f"{method_in_words(start)}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"
-    return best, uncertainty, records[-1]
+    before, after = (float(np.abs(new - old).max(initial=0.0)) for old, new in pairwise(column[-3:]))
+    if after > NOISE * limit and before < after * 2.0**LEAST_ORDER:  # not of second order: the rest is a series of such changes
+        uncertainty = max(uncertainty, after / (max(before / after, 2.0**SLOWEST_ORDER) - 1.0))
+    return best, uncertainty + start.untravelled(found.span / records[-1].steps), records[-1]
 
 
 def method_in_words(start: Start) -> str:
@@ -213,10 +227,11 @@ def set_limits(found: ErrorMetric, record: Record, parted: float, uncertainty: f
 def by_conserved_energy(start: Start, seconds: float) -> ErrorMetric:
     """The energy alone, which must not change: as long as the scene's own steps are affordable some times over."""
     probe = start.simulate(start.scene)
-    row = probe.measure()
+    rows = [probe.measure()]
     found = affordable(start, 8.0 * cost(start, probe, 0.05 * seconds), seconds)
+    rows.append(probe.measure())
     found.reference, found.why = "the energy of the start", "round-off of a sum"
-    found.compare_energies(np.array([row["total_energy"]]), row["kinetic"])
+    found.scale = energy_scale(start, *(np.array([row[name] for row in rows]) for name in ("total_energy", "kinetic")))
     if found.scale > 0.0:
         found.limits["energy"] = ROUND_OFF * max(sqrt(start.total), 10.0)
     return found
@@ -242,5 +257,6 @@ def by_ensemble(found: ErrorMetric, first: Record, steps: int, fine: int) -> Err
     if start.conserves:
         found.add_energy(first)
     found.reference = f"{method_in_words(start)}, steps of 1/{fine}, mean of {members} runs"
-    found.why = f"chaos: {members} runs from starts {ENSEMBLE_DISPLACEMENT:g} apart differ by so much"
+    why = found.why or "chaos"
+    found.why = f"{why}: {members} runs from starts {ENSEMBLE_DISPLACEMENT:g} apart differ by so much"
     return found

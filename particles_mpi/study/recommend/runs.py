@@ -94,6 +94,10 @@ class Start:
         self.duration = scene.steps * scene.time.step
         self.length = scene.periodic_length  # of periodic axes, 0 of others
         self.movable = self.particles.fixed == 0
+        self.drag = self.particles["drag"][self.movable] if effects.damping else np.zeros(0)
+        self.fall = sum(
+            float(np.sqrt((np.asarray(force.g) ** 2).sum())) for force in effects.forces.values() if force.g is not None
+        )
         self.middle = self.particles.position[self.movable].mean(axis=0) if self.movable.any() else np.zeros(scene.dimension)
 
     def snapshots(self, part: float) -> int:
@@ -137,6 +141,19 @@ class Start:
         else:
             x += amount * size * shift
 
+    def untravelled(self, h: float) -> float:
+        """Return how far, at most, a particle travels at the start while drag stops it within a step of h, which steps leave out.
+
+        The exact way of one with the velocity u beyond its final one is u (1 - exp(-k h))/k, that of a step u h exp(-k h/2). It
+        is the same for steps of h, h/2 and h/4 as long as k h is large, so that no comparison of these shows it.
+        """
+        stopped = self.drag * h > 1.0
+        if not stopped.any():
+            return 0.0
+        k, v = self.drag[stopped], self.particles.velocity[self.movable][stopped]
+        beyond = np.sqrt((v**2).sum(axis=1)) + self.fall / k
+        return float((beyond / k * np.abs(1.0 - np.exp(-k * h) - k * h * np.exp(-0.5 * k * h))).max())
+
     def apart(self, one: Array, other: Array) -> float:
         """The largest distance of any particle in one from itself in the other, over all snapshots; the shorter way round."""
         away = one - other
@@ -155,15 +172,16 @@ class Record:
     """What is kept of a run.
 
     places: (snapshots, N, d) at the snapshots; energy: (snapshots,) there; energies, kinetic: at more moments, the start too;
-    observables: of the whole run by their names, STATISTICS: rates in a time unit, means; motion: its size, the root mean square
-    distance of what moves from the middle of it at the start, at LOOKS moments: for one particle this is how far it gets; 1 if
-    nothing moves; seconds: with all snapshots, on the slowest rank; counted: `counted_seconds`, the same each time.
+    steps: of the run; observables: of all of it, by their names in STATISTICS: rates in a time unit, means; motion: its size, the
+    root mean square distance of what moves from the middle of it at the start, at LOOKS moments: for one particle this is how far
+    it gets; 1 if nothing moves; seconds: with all snapshots, on the slowest rank; counted: `counted_seconds`, the same each time.
     """
 
     places: Array
     energy: Array
     energies: Array
     kinetic: Array
+    steps: int
     observables: Errors
     motion: float
     seconds: float
@@ -198,7 +216,7 @@ def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.i
     observables = dict(zip(STATISTICS, (*rates, float(kinetic[1:].mean()), height), strict=True))
     motion = sqrt(float(np.mean(spreads))) or 1.0
     cost = sim.ranks.largest(perf_counter() - began)[0], counted_seconds(sim)
-    return Record(found, np.array(at_snapshots), sums, kinetic, observables, motion, *cost)
+    return Record(found, np.array(at_snapshots), sums, kinetic, steps, observables, motion, *cost)
 
 
 def apart_all_along(start: Start, coarse: Scene, fine: Scene) -> float:

@@ -65,18 +65,43 @@ def time_trials(start: Start, trials: list[Trial], sample_seconds: float | None 
 
 
 class Search:
-    """Tries settings of a scene against an error metric; `seconds` is what all of it may take."""
+    """Tries settings of a scene against an error metric.
 
-    def __init__(self, start: Start, metric: ErrorMetric, error: str, tolerance: float, seconds: float):
-        self.start, self.metric, self.error, self.tolerance = start, metric, error, tolerance
+    tolerances: what each error may be in the measured part, the most telling one first; tolerance: that of the first one.
+    `seconds` is what all of it may take.
+    """
+
+    def __init__(self, start: Start, metric: ErrorMetric, tolerances: Errors, seconds: float):
+        self.start, self.metric, self.tolerances = start, metric, tolerances
+        self.tolerance = next(iter(tolerances.values()))
         self.trials: list[Trial] = []
         self.refused: dict[str, str] = {}  # why settings were not tried, or methods not followed
         self.too_long = False  # was the last one that was refused
         self.best, self.seconds, self.began = inf, seconds, perf_counter()
 
+    @property
+    def places(self) -> bool:
+        """Are places compared?"""
+        return "state" in self.tolerances
+
     def reached(self, errors: Errors) -> bool:
-        """Is the error below the tolerance, even if it is larger by half of the resolution limit?"""
-        return errors[self.error] + 0.5 * self.metric.limits[self.error] <= self.tolerance
+        """Is each error below its tolerance, even if it is larger by half of the resolution limit?"""
+        return all(errors[name] + 0.5 * self.metric.limits[name] <= most for name, most in self.tolerances.items())
+
+    def worst(self, errors: Errors) -> str:
+        """Return the name of the error that is the largest part of its tolerance, or that is no number."""
+        parts = {name: errors[name] / most for name, most in self.tolerances.items()}
+        return max(parts, key=lambda name: parts[name] if isfinite(parts[name]) else inf)
+
+    def size(self, errors: Errors) -> float:
+        """Return the largest error, so that it is below `tolerance` if each is below its own; inf if one is no number."""
+        name = self.worst(errors)
+        found = self.tolerance * errors[name] / self.tolerances[name]
+        return found if isfinite(found) else inf
+
+    def described(self, errors: Errors) -> str:
+        """Return these errors, as far as there are tolerances for them, in words."""
+        return ", ".join(f"{name} {errors[name]:.2g}" for name in self.tolerances)
 
     def left(self) -> float:
         """Seconds, on the slowest rank. Collective."""
@@ -134,9 +159,9 @@ class Search:
 
     def worth_it(self, method: Method, coarse: Trial | None, fine: Trial | None, resolution: float) -> bool:
         """May a finer setting than these two help and still be the cheapest, and is there time for it?"""
-        e, why = self.error, ""
-        if fine and coarse and fine.errors[e] * LEAST_GAIN > coarse.errors[e] and coarse.errors[e] < 0.1:
-            why = f"no better by shorter steps than {e} {fine.errors[e]:.2g}"
+        why = ""
+        if fine and coarse and self.size(fine.errors) * LEAST_GAIN > self.size(coarse.errors) and self.size(coarse.errors) < 0.1:
+            why = f"no better by shorter steps than {self.described(fine.errors)}"
         elif method.adaptive and resolution > FINEST * 1.01:
             why = f"reaches no better than tolerance {1.0 / FINEST:.0e}"
         elif fine is None:
@@ -152,18 +177,20 @@ class Search:
 
     def refine(self, coarse: Trial, fine: Trial) -> None:
         """Between a setting that fails and one that does not, the one that the order between the two predicts."""
-        e, low, high = self.error, coarse.resolution, fine.resolution
-        if not isfinite(coarse.errors[e]) or not coarse.errors[e] > fine.errors[e] > 0.0 or self.left() < 0.0:
+        low, high = coarse.resolution, fine.resolution
+        more, less = self.size(coarse.errors), self.size(fine.errors)
+        if not isfinite(more) or not more > less > 0.0 or self.left() < 0.0:
             return
-        order = log(coarse.errors[e] / fine.errors[e]) / log(high / low)
-        aim = low * (coarse.errors[e] / (AIMED_SHARE * self.tolerance)) ** (1.0 / order)
+        order = log(more / less) / log(high / low)
+        aim = low * (more / (AIMED_SHARE * self.tolerance)) ** (1.0 / order)
         for _ in range(MOST_REFINEMENTS):
             if not low < aim < 0.97 * high:
                 return
             trial = self.attempt(fine.method, aim, self.patience())
             if trial is None or self.reached(trial.errors):
                 return
-            aim *= (trial.errors[e] / (AIMED_SHARE * self.tolerance)) ** (1.0 / order) if isfinite(trial.errors[e]) else 1.1
+            error = self.size(trial.errors)
+            aim *= (error / (AIMED_SHARE * self.tolerance)) ** (1.0 / order) if isfinite(error) else 1.1
 
     def confirm(self, trial: Trial) -> tuple[Trial, Trial, float] | None:
         """(this setting or a finer one, the one at half its step, how far these are apart); None where none is confirmed.
@@ -171,7 +198,7 @@ class Search:
         A setting is confirmed if half the step reaches the tolerance too, and the two are not further apart than the tolerance:
         places in every step, and not at the snapshots only; other errors, which chance is in, twice as far. Collective.
         """
-        places, method = self.error == "state", trial.method
+        places, method = self.places, trial.method
         while True:
             kept = len(self.trials)
             finer = self.attempt(method, trial.resolution * method.ratio)
@@ -181,7 +208,8 @@ class Search:
             if places:
                 difference = apart_all_along(self.start, trial.scene, finer.scene) / self.metric.size
             else:
-                difference = self.metric.difference(self.error, trial.record, finer.record)
+                apart = {name: self.metric.difference(name, trial.record, finer.record) for name in self.tolerances}
+                difference = self.size(apart)
             if difference <= (1.0 if places else 2.0) * self.tolerance:
                 return trial, finer, difference
             if not places or self.left() < 0.0:
@@ -212,7 +240,7 @@ class Search:
         order = {"leapfrog": 2, "order4": 4}.get(method.integrator, 1)
         if "collisions" in self.start.scene.effects:
             return steps
-        if own and own.method.integrator == method.integrator and 0.0 < own.errors[self.error] < 1.0:
-            better = log2(own.errors[self.error] / self.tolerance) / order
+        if own and own.method.integrator == method.integrator and 0.0 < self.size(own.errors) < 1.0:
+            better = log2(self.size(own.errors) / self.tolerance) / order
             return steps * 2.0 ** min(max(round(better), -6), 6)
         return steps / 4.0 if order == 4 else steps

@@ -1,8 +1,11 @@
 """What a run says at its end, and counts, of what a user should know."""
 
 import json
+import subprocess
+import sys
 
 import pytest
+from conftest import environment
 
 from particles_mpi import Scene, Simulation
 
@@ -13,16 +16,50 @@ def ended(folder, **tables):
     return json.loads((folder / "run.json").read_text())
 
 
-@pytest.mark.parametrize(("step", "more", "told"), [(0.1, {}, True), (0.001, {}, False), (0.1, {"drag": {"rate": 0.1}}, False)])
+DRAG = {"drag": {"rate": 0.1}}
+
+
+@pytest.mark.parametrize(("step", "more", "told"), [(0.1, {}, True), (0.001, {}, False), (0.1, DRAG, True), (0.001, DRAG, False)])
 def test_energy_that_changes_though_nothing_takes_any_is_told(tmp_path, step, more, told):
-    """Two that fall onto one another, in steps in which they pass at any distance; where drag takes energy nobody can say."""
+    """Two that fall onto one another, in steps in which they pass at any distance; drag may take energy, and never gives any."""
     about = ended(
         tmp_path / "o", G=1.0, time={"step": step, "steps": round(1.0 / step)},
         particles=[{"position": [[0.0, 0.0], [1.0, 0.0]], "velocity": [[0.0, 0.3], [0.0, -0.3]], "mass": 1.0}],
         effects={"mutual_gravity": {}, **more},
     )  # fmt: skip
     said = [remark for remark in about["remarks"] if remark.startswith("total energy: from ")]
-    assert bool(said) == told and all("shorten time.step" in remark and "adaptive" in remark for remark in said)
+    assert bool(said) == told and all("shorten time.step" in remark and ("adaptive" in remark) != bool(more) for remark in said)
+
+
+@pytest.mark.parametrize("height", [0.0, 1e4])
+def test_energy_is_judged_wherever_height_is_zero(tmp_path, height):
+    """Elastic discs that gravity heats, in steps that are much too long; and a fall from rest, which is exact."""
+    gravity = {"uniform_gravity": {"acceleration": [0.0, -2.0]}}
+    about = ended(
+        tmp_path / "o", seed=1, box={"lower": [0.0, height], "upper": [2.0, height + 2.0]}, time={"step": 0.5, "steps": 200},
+        particles=[{"count": 30, "radius": 0.05, "position": "random", "velocity": {"speed": 0.9}}],
+        effects={**gravity, "collisions": {"mode": "event"}, "walls": {}},
+    )  # fmt: skip
+    assert any("nothing here takes or gives any" in remark for remark in about["remarks"])
+    about = ended(
+        tmp_path / "p", time={"step": 0.01, "steps": 100}, particles=[{"position": [[0.0, height]], "mass": 1.0}], effects=gravity
+    )
+    assert not about["remarks"]
+
+
+def test_a_run_that_is_continued_judges_the_energy_of_all_of_it(tmp_path):
+    """All of what the energy loses is lost before the run is stopped."""
+    (tmp_path / "s.toml").write_text(
+        "dimension = 2\nG = 1.0\n[time]\nstep = 0.1\nsteps = 10\n[output]\nformats = []\n[[particles]]\nmass = 1.0\n"
+        "position = [[0.0, 0.0], [1.0, 0.0]]\nvelocity = [[0.0, 0.3], [0.0, -0.3]]\n[effects.mutual_gravity]\n"
+    )
+    told = []
+    for steps in ("10", "12"):
+        command = [sys.executable, "-m", "particles_mpi", "run", "s.toml", "--output", "o", "--steps", steps, "--resume", "auto"]
+        subprocess.run(command, cwd=tmp_path, env=environment(), check=True, capture_output=True)
+        about = json.loads((tmp_path / "o" / "run.json").read_text())
+        told.append([remark.split(" to ")[0] for remark in about["remarks"] if remark.startswith("total energy: from ")])
+    assert told[0] and told[1] == told[0]
 
 
 WIND = """from particles_mpi.effects import EffectOptions, Force
