@@ -214,6 +214,8 @@ class State:
             raise ValueError(f"time: {value!r} is no finite number")
         for since in self.output_record.observed.values():
             since[0] += value - self.time
+        if "contacted" in self.rows.arrays:  # times of the last contacts
+            self.rows["contacted"] += value - self.time
         self.clock_start = float(value), self.steps_done
         self.forget_contacts()
 

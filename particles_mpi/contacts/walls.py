@@ -53,6 +53,11 @@ def wall_contact(axes, x, v, column, start, i, radius, last_partner, h, planes):
             speed += v[i, column + k] * normal[wall, k]
         if not speed < 0.0 or last_partner == -1 - wall:
             continue
+        v2 = 0.0
+        for k in range(len(axes)):
+            v2 += v[i, column + k] * v[i, column + k]
+        if speed * speed <= 1e-28 * v2:  # along the wall but for round-off, as after e = 0
+            continue
         distance = 0.0
         for k in range(len(axes)):
             distance += (x[i, k] - point[wall, k]) * normal[wall, k]

@@ -74,7 +74,8 @@ def points_that_stick(scene: Scene, particles: Particles, ranks: Communicator) -
     pairs = scene.active.get("collisions")
     if scene.dimension > 1 or pairs is None or pairs.mode != "event" or pairs.restitution in (None, 1.0):
         return []
-    if ranks.total(np.count_nonzero(particles.radius == 0.0))[0] < 3:
+    points, total = ranks.total(np.count_nonzero(particles.radius == 0.0), len(particles))
+    if points < 2 or total < 3:
         return []
     return ["effects.collisions: points on a line that stick together let a third one through: give them a radius, however small"]
 

@@ -54,7 +54,7 @@ def test_the_time_of_a_contact(d):
     for (x, v, start, _), radius, _, segment, _, length, random in pairs(d, 1000):
         axes, r, u, now = (0,) * d, np.empty(d), np.empty(d), start.max()
         t = law.contact_time.py_func(axes, x, v, start, 0, 1, radius.sum(), 2.0, length)
-        assert is_same(t, segments.touch_time(axes, segment, 0, 1, now, 2.0, length, r, u))
+        assert is_same(t, segments.touch_time(axes, segment, 0, 1, now, 2.0, 2.0, length, r, u))
         later = min(t, 2.0) if random.random() < 0.1 else random.uniform(now, min(t, 2.0))
         for moment in (now, later):
             place = x[0] + v[0] * (moment - start[0])

@@ -67,7 +67,7 @@ def first_partner(axes, rows, lists, work, i, now, h):
             j = np.int64(pool[first + trailing_zeros(likely)])
             likely &= likely - 1
             prefetch(state, j)
-            t = touch_time(axes, segment, np.uint64(i), np.uint64(j), now, first_time, length, r, work.u)
+            t = touch_time(axes, segment, np.uint64(i), np.uint64(j), now, first_time, h, length, r, work.u)
             if (
                 t != NEVER
                 and (t < first_time or partner == NO_EVENT or is_first(i, j, partner, state))

@@ -37,18 +37,27 @@ def may_touch(axes, segment, i, others, place, now, until, length, boxes_per_len
         b += r * u
         r2 += r * r
     likely = may_come_near(a, b, r2, segment[i, 2 * d + RADIUS] + others[2 * d + RADIUS], until - now)
-    if d == 1:  # where points meet on a line, round-off decides whether they move apart
-        together = ROUND_OFF * (abs(segment[i, 0]) + abs(place[0]))
-        likely = likely | (r2 <= together * together)
+    if d == 1:  # where points meet on a line, round-off decides whether they move apart, and whether that is before `until`
+        together2 = 12.0 * ROUND_OFF**2 * (segment[i, 0] ** 2 + place[0] ** 2 + others[0] * others[0])
+        ahead = until - now
+        at_end2 = r2 + ahead * (2.0 * b + ahead * a)  # the square of the distance then, but for round-off of its parts
+        likely = likely | (r2 <= together2) | (at_end2 <= together2 + 1e-14 * (r2 + ahead * ahead * a))
     return likely
 
 
 @inner(inline="always")
-def touch_time(axes, segment, i, j, now, h, length, r, u):
-    """Time at which the segments of i and j first touch, up to h, or NEVER: the root of `law.contact_time`.
+def round_off(segment, i, j):
+    """Return the round-off, at most, of the places of rows i and j on a line. Rows that touch at less than that are points."""
+    return ROUND_OFF * (abs(segment[i, 0]) + abs(segment[j, 0]))
 
-    `now`, at or after both starts, only tells which periodic images are meant; r, u (d,) are scratch: afterwards r is x_i - x_j
-    at the later one of the two starts, and u is v_i - v_j.
+
+@inner(inline="always")
+def touch_time(axes, segment, i, j, now, latest, h, length, r, u):
+    """Time at which the segments of i and j first touch, up to `latest`, or NEVER: the root of `law.contact_time`.
+
+    `now`, at or after both starts, only tells which periodic images are meant. Points that are nearer than round-off at h, where
+    the drift ends, touch there: in the next drift nothing says which one is on which side. r, u (d,) are scratch: afterwards r is
+    x_i - x_j at the later one of the two starts, and u is v_i - v_j.
     """
     d = len(axes)
     start = max(segment[i, 2 * d + START], segment[j, 2 * d + START])
@@ -83,7 +92,9 @@ def touch_time(axes, segment, i, j, now, h, length, r, u):
     if disc < 0.0:
         return NEVER
     t = start + gap * (distance + diameter) / (sqrt(disc) - b)
-    return t if t <= h else NEVER
+    if d == 1 and t > h and max(diameter, (t - h) * abs(u[0])) <= round_off(segment, i, j):
+        t = h
+    return t if t <= latest else NEVER
 
 
 @lean_inner
@@ -110,7 +121,8 @@ def collide(axes, segment, reference, i, j, t, loss, length, rates, rough, smoot
 
     `smooth`: treat this contact as smooth, even if spheres are rough.
 
-    On a line even points, which have no distance when they touch, have a normal: there, the impulse is that of r = 1.
+    On a line even points, which have no distance when they touch, have a normal: there, the impulse is that of r = 1. Points are
+    at the same place then, to the bit: their order on the line must not be lost by round-off.
     """
     d = len(axes)
     restitution, velocity_factor = loss
@@ -121,6 +133,9 @@ def collide(axes, segment, reference, i, j, t, loss, length, rates, rough, smoot
         r[k] = segment[i, k] - segment[j, k]
         r[k] -= image_shift(r[k], length[k])
     if d == 1:
+        if segment[i, 2 * d + RADIUS] + segment[j, 2 * d + RADIUS] <= round_off(segment, i, j):
+            segment[j, 0] = segment[i, 0] - ((segment[i, 0] - segment[j, 0]) - r[0])  # in the same periodic image
+            r[0] = 0.0
         approach = r[0] * (segment[i, d] - segment[j, d])
         r[0] = 1.0 if segment[i, d] < segment[j, d] else -1.0
         nearing = r[0] * (segment[i, d] - segment[j, d])

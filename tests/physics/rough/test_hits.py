@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scenes import simulation
 
+from particles_mpi import Scene, Simulation
+
 MODES = ("rewind", "event")
 ANGLES = np.radians([0.0, 5.0, 20.0, 35.0, 50.0, 65.0, 80.0, 85.0])
 E, MU, BETA = 0.8, 0.3, 0.4
@@ -122,3 +124,53 @@ def test_without_friction_nothing_turns_and_mu_0_is_smooth(mode):
     assert smooth.totals["collisions"] > 20
     assert "spin" not in smooth.rows.arrays and "spin" not in zero.rows.arrays
     assert smooth.rows.position.tobytes() == zero.rows.position.tobytes()
+
+
+@pytest.mark.parametrize("mode", [None, "event", "rewind"])
+@pytest.mark.parametrize("surface", [{}, {"tangential_restitution": 0.5}])
+def test_a_wall_that_takes_all_of_the_approach_is_hit_once(surface, mode):
+    """What is left of the approach is round-off, above 0 or below, by the direction of the wall: the speed along it stays."""
+    for degrees in range(0, 360, 10):
+        normal = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+        along = np.array([-normal[1], normal[0]])
+        disc = {"position": [(0.3 * normal).tolist()], "velocity": (along - normal).tolist(), "radius": 0.1}
+        walls = {"restitution": 0.0, "planes": [{"point": [0.0, 0.0], "normal": normal.tolist()}]} | surface
+        effects = {"walls": walls} | ({"collisions": {"mode": mode}} if mode else {})
+        sim = Simulation(Scene(dimension=2, time={"step": 0.02, "steps": 100}, effects=effects, particles=[disc]))
+        sim.steps(100)
+        speed = 0.5 if surface else 1.0  # a disc with I = m R^2/2 sticks: 1 - (1 + beta_0)/3
+        assert (sim.totals["wall_hits"], sim.particles.velocity[0] @ along) == (1, pytest.approx(speed, rel=1e-12)), degrees
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.9])
+@pytest.mark.parametrize("what", ["walls", "collisions"])
+def test_contacts_within_t_c_of_the_last_one_take_nothing(what, restitution):
+    """Between surfaces that are rough, whatever they leave of the approach: t_c is longer than the run."""
+    effects = {"collisions": {"mode": "event", "contact_duration": 10.0}, "walls": {"planes": []}}
+    effects["walls"]["planes"] = [{"point": [0.0, y], "normal": [0.0, -np.sign(y)]} for y in (-0.5, 0.5)]
+    effects[what] |= {"friction": 0.2, "restitution": restitution}
+    discs = {"position": [[0.0, 0.0]], "velocity": [1.0, 2.0], "radius": 0.1}
+    if what == "collisions":
+        spins = {"spin": [0.1, 0.0]}
+        discs = {"position": [[0.0, 0.0], [0.0, 0.3]], "velocity": [[0.0, 2.0], [0.0, -1.0]], "radius": 0.1} | spins
+    sim, energies = Simulation(Scene(dimension=2, time={"step": 0.02, "steps": 200}, effects=effects, particles=[discs])), []
+    for _ in range(200):
+        hits = sim.totals[what if what == "collisions" else "wall_hits"]
+        sim.step()
+        if sim.totals[what if what == "collisions" else "wall_hits"] > hits:
+            energies.append(sim.measure()["total_energy"])
+    assert len(energies) > 2 and energies == pytest.approx([energies[0]] * len(energies), rel=1e-12)
+
+
+@pytest.mark.parametrize("later", [0.0, -2.5, 7.0])
+def test_the_clock_may_be_set_between_two_contacts(later):
+    """The second one is long after the first, whatever the clock says: it takes energy."""
+    effects = {"collisions": {"mode": "event", "contact_duration": 0.2}, "walls": {"restitution": 0.5}}
+    ball = {"position": [[2.0]], "velocity": [-2.0], "radius": 0.5}
+    box = {"lower": [0.0], "upper": [10.0]}
+    sim = Simulation(Scene(dimension=1, box=box, time={"step": 0.05, "steps": 80}, effects=effects, particles=[ball]))
+    sim.steps(40)
+    sim.particles.velocity *= -1.0
+    sim.time += later
+    sim.steps(40)
+    assert sim.totals["wall_hits"] == 2 and sim.particles.velocity[0, 0] == pytest.approx(0.5) and not sim.remarks()
