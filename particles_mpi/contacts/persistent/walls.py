@@ -4,7 +4,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import AMPLE, SLOW_PUSH
+from particles_mpi.contacts.persistent.detection import ROUND_UP, SLOW_PUSH
 from particles_mpi.kernels.jit import in_place, kernel
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Array, Particles
@@ -36,7 +36,7 @@ class Walls:
     def reach(self, fixed: Array, a: Array, h: float) -> float:
         """How far from walls slow contacts may be, of rows (at least one) with accelerations a (n, d), the same if not fixed."""
         push = float(np.sqrt((a[np.argmin(fixed)] ** 2).sum()))
-        return AMPLE * SLOW_PUSH * h * h * push + self.round_off
+        return ROUND_UP * SLOW_PUSH * h * h * push + self.round_off
 
 
 @in_place
@@ -70,7 +70,7 @@ def near_walls(axes, x, v, a, radius, fixed, supported, h, faces, planes):
             a2 += a[i, k] * a[i, k]
         most = max(most, a2)
     for k in range(len(axes)):  # within these no sphere is near a face, whatever its push: most rows need no closer look
-        far = AMPLE * SLOW_PUSH * h * h * sqrt(most)
+        far = ROUND_UP * SLOW_PUSH * h * h * sqrt(most)
         low[k] = lower[k] + far + ROUND_OFF * max(lower[k], -lower[k]) if lower[k] > -inf else -inf
         high[k] = upper[k] - far - ROUND_OFF * max(upper[k], -upper[k]) if upper[k] < inf else inf
     for i in range(len(x)):
