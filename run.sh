@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Sets particles_mpi up in .venv (only what is not done yet) and runs it under MPI. ./run.sh help tells the rest.
+# Sets particles_mpi up in .venv (only what is not done yet) and runs it under MPI. ./run.sh help lists the commands.
 set -euo pipefail
 HERE=$PWD
 cd "$(dirname "${BASH_SOURCE[0]}")"
@@ -7,25 +7,25 @@ cd "$(dirname "${BASH_SOURCE[0]}")"
 help() {
   cat <<'TEXT'
 ./run.sh                 set up, then the main job: particles_mpi/scenes/marbles.toml on 2 ranks, into out/marbles
-./run.sh test [...]      set up, then the tests of every feature, three at once (arguments go to pytest: tests/unit, -k WORD)
-./run.sh test --all      the same and all that takes longer: more ranks, long physics, kills
-./run.sh test --search   the same and a search for faults in many more scenes at random, some of them new each time
+./run.sh test [...]      set up, then test every feature, three tests at once (arguments go to pytest: tests/unit, -k WORD)
+./run.sh test --all      the same and all longer tests: more ranks, long physics, killed runs
+./run.sh test --search   the same and many more random scenes, some of them new each time, in search of faults
 ./run.sh lint            ruff (rules and format) and mypy
 ./run.sh setup           only set up
-./run.sh view DIR        writes DIR/view.html, a page that shows the run in that folder, and opens it
-./run.sh doctor          what is installed, and whether it fits together
+./run.sh view DIR        write DIR/view.html, a page that shows the run in that folder, and open it
+./run.sh doctor          show what is installed, and whether it works together
 ./run.sh COMMAND [...]   anything else goes to particles-mpi under mpirun, or srun in a job of Slurm: run, check, study, --help;
-                         files are those of the folder that you are in
+                         file names are relative to the folder that you are in
 
-RANKS=4 ./run.sh ...              how many MPI ranks (2; in a job of Slurm: its tasks)
-PYTHON=python3.12 ./run.sh ...    which Python >= 3.11 makes .venv (only the first time)
-PARTICLES_MPI_SETUP=apt|system|pip ./run.sh setup     where MPI comes from. Left alone, it is
-   apt      for root with apt: Open MPI and parallel HDF5 are installed, h5py is built on them
-   system   where mpicc and mpirun are there already; parallel HDF5 is used if there is one for this MPI
+RANKS=4 ./run.sh ...              number of MPI ranks (default: 2; in a job of Slurm: its tasks)
+PYTHON=python3.12 ./run.sh ...    the Python >= 3.11 that makes .venv (only the first time)
+PARTICLES_MPI_SETUP=apt|system|pip ./run.sh setup     where MPI comes from; by default:
+   apt      for root with apt: installs Open MPI and parallel HDF5, and builds h5py on them
+   system   if mpicc and mpirun are there already; uses a parallel HDF5 if there is one for this MPI
    pip      otherwise: MPICH from PyPI, into .venv
 
-Set-up starts over after `rm -rf .venv`; what it said is in .venv/setup.log.
-`source .venv/bin/activate` gives the right mpirun and particles-mpi to your shell.
+Set-up starts over after `rm -rf .venv`; its output is in .venv/setup.log.
+After `source .venv/bin/activate` your shell finds the right mpirun and particles-mpi.
 TEXT
 }
 
@@ -119,11 +119,11 @@ find_python() {
 make_venv() {
   local python again=() start=$SECONDS
   if [[ -f $DONE/folder && $(<"$DONE/folder") != "$VENV" ]]; then
-    note ".venv was made for $(<"$DONE/folder"): made anew"; again=(--clear)
+    note ".venv was made for $(<"$DONE/folder"): it is made again"; again=(--clear)
   elif [[ -f $DONE/case && $(<"$DONE/case") != "$CASE" ]]; then
-    note ".venv was made for '$(<"$DONE/case")': made anew for '$CASE'"; again=(--clear)
+    note ".venv was made for '$(<"$DONE/case")': it is made again for '$CASE'"; again=(--clear)
   elif [[ -x $PY ]]; then
-    good_python "$PY" || fail ".venv is of $($PY --version 2>&1), but Python >= 3.11 is needed: rm -rf .venv"
+    good_python "$PY" || fail ".venv has $($PY --version 2>&1), but Python >= 3.11 is needed: rm -rf .venv, then ./run.sh again"
     mkdir -p "$DONE" && printf '%s' "$VENV" >"$DONE/folder"; return
   fi
   python=$(find_python || install_python) || fail "Python >= 3.11 is needed; name one: PYTHON=/path/to/python3 ./run.sh"
@@ -157,7 +157,7 @@ apt_or_another() {
   printf '%s\n' "$LOG_TAIL" >&2
   [[ -z ${PARTICLES_MPI_SETUP:-} ]] || fail "apt could not install: ${APT_PACKAGES[*]}; the whole log: $LOG"
   if system_mpicc >/dev/null; then CASE=system; else CASE=pip; fi
-  note "apt could not install Open MPI; going on with '$CASE'"
+  note "apt could not install Open MPI; continuing with '$CASE'"
   choose_mpi
 }
 
@@ -244,10 +244,10 @@ warm_up() {  # compile the kernels now, so that the first run, or four test rank
 compile_kernels() {
   local key=$1
   was_done kernels "$key" && return  # by the one that this one has waited for
-  [[ -f $DONE/kernels ]] || note 'kernels are compiled now, once, for one to five minutes'
+  [[ -f $DONE/kernels ]] || note 'compiling kernels now, once, for one to five minutes'
   $PY -m compileall -q particles_mpi || true  # also where Python is told to write no bytecode: 0.1 s less for each start
   if $PY -P particles_mpi/setup/kernel_sources.py || mpirun -n 2 $PY -m particles_mpi.setup.warmup; then printf '%s' "$key" >"$DONE/kernels"
-  else note 'kernels could not be compiled ahead: the first run does it'; fi
+  else note 'kernels could not be compiled in advance: the first run compiles them'; fi
 }
 
 lock() {  # two run.sh at once: the second waits
@@ -255,7 +255,7 @@ lock() {  # two run.sh at once: the second waits
   exec 9<.
   flock -n 9 2>/dev/null || status=$?
   ((status == 1)) || return 0  # not 1 where there are no locks
-  note 'another run.sh is at work here: this one waits for it'
+  note 'another run.sh is working here: this one waits for it'
   flock 9 || true
 }
 
@@ -308,7 +308,7 @@ setup() {  # setup [test]: with what the tests need
 
 launch() {  # launch COMMAND...: on ranks; in a job of Slurm its srun starts them, if it speaks the language of this MPI
   local ranks=${RANKS:-${SLURM_NTASKS:-}} pmi=pmi2
-  [[ ! ${RANKS:-1} =~ ^[1-9][0-9]*$ ]] && fail "RANKS: ${RANKS@Q} is no number of ranks"
+  [[ ! ${RANKS:-1} =~ ^[1-9][0-9]*$ ]] && fail "RANKS: ${RANKS@Q} is not a number of ranks"
   if [[ -n ${SLURM_JOB_ID:-} ]] && command -v srun >/dev/null; then
     [[ $(mpirun --version 2>&1) != *[Oo]pen* ]] || pmi=pmix
     if [[ $(srun --mpi=list 2>&1) == *$pmi* ]]; then  # wait: so many seconds after the first rank has ended, end all

@@ -28,12 +28,12 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
-    help="""Moving, colliding particles in any dimension, on any number of MPI ranks: the same bits on all of them.
+    help="""Simulate moving, colliding particles in any dimension, on any number of MPI ranks, with the same bits on all of them.
 
     A first run:   [bold]mpirun -n 2 particles-mpi run particles_mpi/scenes/marbles.toml --output out/marbles[/bold]
 
-    A scene file says what there is (particles, box) and which effects act; an effect that it does not name does not run.
-    [bold]check[/bold] tells what a scene would do before it runs, and what is wrong with it, key by key.""",
+    A scene file describes particles and box, and names the effects that act; an effect that it does not name does not run.
+    [bold]check[/bold] shows what a scene will do before you run it, and lists what is wrong with it, key by key.""",
 )
 
 
@@ -47,28 +47,28 @@ def print_version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    version: Annotated[bool, typer.Option("--version", callback=print_version, is_eager=True, help="Tell the version.")] = False,
+    version: Annotated[bool, typer.Option("--version", callback=print_version, is_eager=True, help="Show the version.")] = False,
 ) -> None:
     """What can be said before a command. The help of `app` is shown instead of this."""
 
 
-STOPPING = "Write a checkpoint and stop within this time; if not given, before the limit of a Slurm job; none: without a limit."
+STOPPING = "Write a checkpoint and stop within this time (default: before the time limit of a Slurm job; none: no limit)."
 WallTime = Annotated[str | None, typer.Option(metavar="HH:MM:SS", help=STOPPING)]
-RESULTS = "Folder for the results; out/<scene name> if not given."
-RESUMING = "Go on from this checkpoint.h5, on any number of ranks; auto: from the folder's own, or else from the start."
+RESULTS = "Folder for the results (default: out/<scene name>)."
+RESUMING = "Continue from this checkpoint.h5, on any number of ranks; auto: from the output folder's, or from the start."
 
 
 @app.command()
 def run(
     scene: SceneFile,
     output: Annotated[Path | None, typer.Option("--output", "-o", parser=given_path, metavar="PATH", help=RESULTS)] = None,
-    steps: Annotated[int | None, typer.Option(min=0, help="End with this step instead of that of the scene.")] = None,
+    steps: Annotated[int | None, typer.Option(min=0, help="Number of the last step, instead of that of the scene.")] = None,
     resume: Annotated[Path | None, typer.Option(parser=given_path, metavar="PATH", help=RESUMING)] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that the folder holds.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that is in the folder.")] = False,
     wall_time: WallTime = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Run a scene: frames for ParaView, diagnostics, checkpoints; then the phase table.
+    """Run a scene: write frames for ParaView, diagnostics and checkpoints; then print the phase table.
 
     Example:   mpirun -n 2 particles-mpi run my.toml --output out/my --steps 100
     """
@@ -81,13 +81,13 @@ def run(
     folder, auto = output or Path("out") / scene.stem, str(resume) == "auto"
     if auto:
         if overwrite:
-            raise SceneError("--overwrite: either this, or --resume auto")
+            raise SceneError("--overwrite: cannot be combined with --resume auto")
         resume = checkpoint_to_continue(folder, Communicator(), described.to_dict())
         overwrite = resume is None  # a run that was ended before its first checkpoint
     if resume:
         files = {name: options.file for name, options in described.outside.items()}
         sim = Simulation.resume(resume, files=files)
-        other = [f"{scene}: {key}: not as in {resume}, which goes on with the scene that it began with"
+        other = [f"{scene}: {key}: differs from {resume}; a run is continued with the scene that it began with"
                  for key in changed_keys(sim.scene.to_dict(), described.to_dict())]  # fmt: skip
         if other:
             raise SceneError(other)
@@ -101,14 +101,14 @@ def run(
             print(f"{folder}: {reached}")
         return
     collect_garbage()
-    notes = [line for line in (note, f"goes on from {reached}" if resume else "") if line]
+    notes = [line for line in (note, f"continues from {reached}" if resume else "") if line]
     how: dict[str, Any] = {"quiet": quiet, "overwrite": overwrite, "steps": steps, "wall_time": limit, "setup_began": STARTED}
     Job(sim, folder, resumed=resume is not None, notes=notes, scene_file=scene, **how).run()
 
 
 @app.command()
 def check(scene: SceneFile) -> None:
-    """Validate a scene, print its plan, and predict from a few steps what it costs and how wrong it is: 0 valid, 2 invalid.
+    """Validate a scene (exit code 0 valid, 2 invalid), print its plan, and predict its run time and errors from a few steps.
 
     Example:   particles-mpi check my.toml
     """
@@ -125,9 +125,9 @@ def check(scene: SceneFile) -> None:
         screen.say(f"  predicted: {found.forecast}")
         screen.shares(found.forecast)
     if found.costs:
-        screen.say(f"  each effect costs, by what a step takes less without it: {found.costs}")
+        screen.say(f"  cost of each effect (what a step without it saves): {found.costs}")
     stops = any("stops within" in error for error in found.errors)
-    for line in (*(f"  {error}" for error in found.errors), "valid, but it stops: see above" if stops else "valid"):
+    for line in (*(f"  {error}" for error in found.errors), "valid, but the run stops: see above" if stops else "valid"):
         screen.say(line)
 
 
@@ -136,10 +136,10 @@ app.add_typer(study, name="study")
 
 @app.command()
 def view(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run, which may be going on.")],
-    no_open: Annotated[bool, typer.Option("--no-open", help="Only write the page.")] = False,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run, which may still be running.")],
+    no_open: Annotated[bool, typer.Option("--no-open", help="Write the page, but do not open it.")] = False,
 ) -> None:
-    """Write DIR/view.html, a page with the run in it that needs no network, and open it where there is a desktop.
+    """Write DIR/view.html, a page that shows the run and needs no network, and open it if there is a desktop.
 
     Example:   particles-mpi view out/marbles
     """
@@ -160,14 +160,14 @@ def view(
 
 @app.command()
 def doctor() -> None:
-    """What is installed (MPI, parallel HDF5, versions), a 2-rank check, and what to do about what is not right."""
+    """Show what is installed (MPI, parallel HDF5, versions), check 2 ranks, and say what to do about what is wrong."""
     from particles_mpi.run import doctor as examined
 
     raise typer.Exit(examined.main(IS_ROOT, MPI.COMM_WORLD.Get_size()))
 
 
 def simulation_of(described: Any, scene: Path) -> Any:
-    """The simulation of a scene; what is wrong with it is told with the name of its file. Collective."""
+    """The simulation of a scene; each fault begins with the name of its file. Collective."""
     from particles_mpi.simulation import Simulation
 
     try:

@@ -169,16 +169,18 @@ def add_column(name: str, column: Column) -> None:
     known = FIELDS.get(name, column)
     taken = name in TAKEN or name.startswith("_") or name.endswith(FULL) or hasattr(Particles, name)
     if taken or not name.isidentifier() or (known != column and name in BUILT_IN):
-        raise ValueError(f"column {name!r}: the name is taken, or is no identifier")
+        raise ValueError(f"column {name!r}: the name is taken, or is not an identifier")
     if known != column:
         raise ValueError(
-            f"column {name!r}: known otherwise, from another effect or an earlier version of this file: use another name, or"
+            f"column {name!r}: another effect, or an earlier version of this file, defines it otherwise: use another name, or"
             " restart Python"
         )
     if str(np.dtype(column.dtype)) not in IN_FILES:
-        raise ValueError(f"column {name!r}: {column.dtype} is none of the types that files of frames have: {', '.join(IN_FILES)}")
+        raise ValueError(f"column {name!r}: {column.dtype} is not a type that files of frames can have: {', '.join(IN_FILES)}")
     if not is_default(column):
-        raise ValueError(f"column {name!r}: its default {column.default!r} is no {column.dtype} of at least {column.least:g}")
+        raise ValueError(
+            f"column {name!r}: its default {column.default!r} is not of type {column.dtype} and at least {column.least:g}"
+        )
     FIELDS[name] = column
 
 

@@ -36,7 +36,7 @@ class Simulation(Saved):
     def __init__(self, scene: Scene, comm: Any = None, start: Particles | None = None):
         """`start`: all particles in id order, the same on every rank, in place of those that the scene describes."""
         if not isinstance(scene, Scene):
-            raise TypeError(f"Simulation: {scene!r:.60} is no Scene; there are Scene.load(path) and Scene.from_dict(tables)")
+            raise TypeError(f"Simulation: {scene!r:.60} is not a Scene; use Scene.load(path) or Scene.from_dict(tables)")
         ranks = Communicator(comm)
         with raising_together(ranks):
             scene = scene.checked()

@@ -1,4 +1,4 @@
-"""Runs of one scene in mode rewind against the run in exact order of events: collisions missed, and how fast that gets better."""
+"""Compares runs in mode rewind with one in mode event: the collisions that they miss, and how that falls with the step."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ def mode_of(run: Run) -> str:
 
 
 def measured(run: Run) -> dict[str, Any]:
-    """Step, collisions in unit time and their standard error, share of missed ones in them, and seconds of the loop."""
+    """Return step, collisions per unit time with their standard error, share of missed ones, and seconds of the loop."""
     rows, about = run.columns, run.about
     time = rows["time"]
     kept = time >= time[0] + SETTLED * (time[-1] - time[0])
@@ -40,7 +40,7 @@ def measured(run: Run) -> dict[str, Any]:
 
 
 def report(reference: Run, runs: list[Run]) -> tuple[str, dict[str, Any], list[dict[str, Any]]]:
-    """(table, reference, runs from the longest step to the shortest), with lost = 1 - rate/rate_event, which is that of Z - 1."""
+    """Return (table, reference, runs from the longest step to the shortest); lost = 1 - rate/rate_event, as for Z - 1."""
     exact = measured(reference)
     found = sorted((measured(run) for run in runs), key=lambda row: -row["step"])
     names = ("step", "collisions/time", "missed of them", "lost against event", "order", "seconds")
@@ -59,7 +59,7 @@ def report(reference: Run, runs: list[Run]) -> tuple[str, dict[str, Any], list[d
 
 
 def draw(exact: dict[str, Any], found: list[dict[str, Any]], title: str) -> Figure:
-    """Lost collisions against the step, with a guide, and against the time that they cost."""
+    """Draw the lost collisions against the step, with a guide line, and against the time of the run."""
     figure, panels = plt.subplots(1, 2, figsize=(11, 4.6), dpi=130, layout="constrained", sharey=True)
     lost = np.array([abs(row["lost"]) for row in found])
     noise = np.array([row["noise"] for row in found])

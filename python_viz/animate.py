@@ -1,6 +1,6 @@
-"""Animate a run: the picture of plot_frame.py for frame after frame, with one view and one range of colours.
+"""Animate a run: draw the picture of plot_frame.py for all frames, with one view and one range of colours.
 
-Writes an mp4 where ffmpeg is installed, else a gif (larger, and with fewer colours).
+Writes an mp4 if ffmpeg is installed, otherwise a gif (larger, and with fewer colours).
 
 example:
     python python_viz/animate.py out/marbles --every 2 --fps 25 --color energy --save marbles.mp4
@@ -21,7 +21,7 @@ from particles_mpi import Run
 
 
 class GifWriter(PillowWriter):
-    """Writes all frames with one palette, of the first, the middle and the last: to find one for each takes half of the time."""
+    """Writes all frames with one palette, from the first, middle and last frame: one for each would take half of the time."""
 
     def finish(self) -> None:
         frames = [frame.convert("RGB") for frame in self._frames]

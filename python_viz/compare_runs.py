@@ -1,4 +1,4 @@
-"""Compare two runs of the same scene, particle by particle: are they the same bits, and if not, how do they part?
+"""Compare two runs of the same scene, particle by particle: have they the same bits, and if not, how do they diverge?
 
 Frames are matched by their time. The first frame with any differing bit is printed with the particles and fields that differ;
 the picture shows the largest and the rms difference of position and velocity over time (across periodic faces, the short way).
@@ -7,8 +7,8 @@ example:
     python python_viz/compare_runs.py out/ranks1 out/ranks4
 prints "same bits" (exit code 0) or the first difference (exit code 1) and draws out/ranks1/plots/compare_runs.png
 
-Against a run in mode event, runs of the same scene in mode rewind, with several steps, are compared by what they count: the
-collisions that they lose, and with what order in the step that gets better.
+Runs of the same scene in mode rewind with several steps can be compared with one in mode event: by the collisions that they lose,
+and by the order in the step with which that number falls.
 
     python python_viz/compare_runs.py out/event out/dt0.1 out/dt0.05 out/dt0.025
 """
@@ -28,7 +28,7 @@ CURVES = {"position": BLUE, "velocity": RED}
 
 
 def matching(a: Run, b: Run) -> list[tuple[int, int]]:
-    """The pairs of frames at the same time (to 1e-9 of the duration, so that 0.1 + 0.2 meets 0.3)."""
+    """Return the pairs of frames at the same time (to 1e-9 of the duration, so that 0.1 + 0.2 meets 0.3)."""
     close = 1e-9 * max(np.ptp(a.times), np.ptp(b.times))
     nearest = [int(np.argmin(np.abs(b.times - time))) for time in a.times]
     return [(i, j) for i, j in enumerate(nearest) if abs(b.times[j] - a.times[i]) <= close]
@@ -64,7 +64,7 @@ def compare(a: Frame, b: Frame, period: np.ndarray) -> tuple[dict[str, np.ndarra
 
 
 def describe(frame: Frame, differ: dict[str, np.ndarray]) -> str:
-    """One line: the frame, how many particles differ in what, and the first of their ids."""
+    """Return one line: the frame, how many particles differ in which fields, and the first of their ids."""
     ids = np.unique(np.concatenate(list(differ.values())))
     fields = ", ".join(f"{name} of {len(rows)}" for name, rows in differ.items())
     shown = " ".join(map(str, ids[:12])) + (" ..." if len(ids) > 12 else "")
@@ -72,7 +72,7 @@ def describe(frame: Frame, differ: dict[str, np.ndarray]) -> str:
 
 
 def draw(times: np.ndarray, curves: dict[str, np.ndarray], radius: float, title: str) -> Figure:
-    """Largest and rms difference over time, one panel for position and one for velocity; where it is 0 nothing is drawn."""
+    """Draw largest and rms difference over time, one panel for position and one for velocity; zeros are not drawn."""
     figure, panels = plt.subplots(2, 1, figsize=(9, 7), sharex=True, dpi=130, layout="constrained")
     for axes, (name, color) in zip(panels, CURVES.items(), strict=True):
         largest, rms = np.ma.masked_equal(curves[name], 0).T

@@ -35,7 +35,7 @@ COLORS: dict[str, tuple[Callable[[Frame], np.ndarray], str, str, float]] = {
 
 
 def color_of(name: str) -> tuple[Callable[[Frame], np.ndarray], str, str, float]:
-    """An entry of `COLORS`, or one for any other field of the frames: its values, or their magnitudes if they are vectors."""
+    """Return an entry of `COLORS`, or one for any other field of the frames: its values, or the lengths of its vectors."""
 
     def values(frame: Frame) -> np.ndarray:
         if name not in frame.fields:
@@ -46,17 +46,17 @@ def color_of(name: str) -> tuple[Callable[[Frame], np.ndarray], str, str, float]
 
 
 def coordinates(low: float, high: float) -> tuple[str, str]:
-    """The coordinates of the ends of an edge, with as many digits as tell one from the other."""
+    """Return the coordinates of the ends of an edge as text, with enough digits to tell them apart."""
     ratio = max(abs(low), abs(high)) / (high - low) if high > low else 1.0
     digits = min(3 + int(np.log10(max(ratio, 1.0))), 16)
     return f"{low:.{digits}g}", f"{high:.{digits}g}"
 
 
 def add_picture_options(parser: ArgumentParser) -> None:
-    offered = f"what the colour tells: {', '.join(COLORS)}, or any field of the frames, as spin, or a column of your effect"
+    offered = f"what the colour shows: {', '.join(COLORS)}, or any field of the frames, such as spin or a column of your effect"
     parser.add_argument("--color", default="speed", metavar="NAME", help=f"{offered} (default: speed)")
     parser.add_argument("--view", type=finite, nargs=2, default=(-60, 20), metavar=("AZIMUTH", "ELEVATION"),
-                        help="where the viewer stands, in degrees, for runs in space (default: -60 20)")  # fmt: skip
+                        help="direction of the viewer, in degrees, for runs in space (default: -60 20)")  # fmt: skip
 
 
 class Camera:
@@ -123,7 +123,7 @@ class Picture:
         self.extend = "max" if highest.max() > high.max() else "neither"
 
     def make_figure(self, dpi: int) -> None:
-        """A figure as large as the box asks for, with places for the colour bar and the caption."""
+        """Make a figure that fits the box, with room for the colour bar and the caption."""
         corners = self.camera.project(np.array(list(product(*zip(self.lower, self.upper, strict=True)))))[0]
         span = np.ptp(corners, axis=0)
         across, up = (0.02, 0.02) if self.planar else (0.08, 0.055)  # room for the labels of the edges
@@ -153,7 +153,7 @@ class Picture:
         self.marbles = self.axes.imshow(np.zeros((1, 1, 4)), extent=(left, right, bottom, top), origin="lower", zorder=3)
 
     def draw_box(self, real: bool, periodic: np.ndarray) -> None:
-        """Outline of the box (periodic faces dashed, walls behind the marbles filled); dotted, it is only the marbles' extent."""
+        """Draw the box (periodic faces dashed, walls behind the marbles filled); without a box, the marbles' extent, dotted."""
         periodic = periodic if real else np.ones(3, bool)
         faces = np.array([self.lower, self.upper])
         front = (self.camera.eye > self.camera.center).astype(int)  # for each axis the side of the box that faces the viewer
@@ -197,7 +197,7 @@ class Picture:
             self.axes.text(x, y, text, ha="center", va="center", color=LINE, fontsize=size)
 
     def draw_wall(self, corners: np.ndarray, normal: np.ndarray) -> None:
-        """A wall that is no face of the box, in grey; before the marbles if the viewer is behind it."""
+        """Draw a wall that is not a face of the box, in grey; in front of the marbles if the viewer is behind it."""
         before = (self.camera.eye - corners[0]) @ normal < 0 and not self.planar
         self.axes.fill(*self.project(corners).T, facecolor="#9aa3b080", edgecolor=LINE, lw=1.2, zorder=4 if before else 2)
 
@@ -205,7 +205,7 @@ class Picture:
         return self.camera.project(points)[0]
 
     def draw(self, frame: Frame) -> None:
-        """Paint the marbles of a frame; those outside the picture, or at no number, are counted in the caption."""
+        """Paint the marbles of a frame; those outside the picture, or at nan, are counted in the caption."""
         place = self.axes.get_window_extent()
         width, height = round(place.width), round(place.height)
         left, right, bottom, _ = self.marbles.get_extent()

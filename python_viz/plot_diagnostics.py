@@ -1,6 +1,6 @@
 """Plot the sums of a run against time: energy, momentum, events per unit time (collisions, wall hits, missed), largest speed.
 
-Where bodies attract one another, and never meet, angular momentum takes the place of events.
+If bodies attract one another and never collide, angular momentum is drawn instead of events.
 
 The heading of the energy panel says how far the total energy has moved from its first value: a run without losses should
 keep it; with friction, drag or inelastic collisions it must fall. Steady momentum is the same check for the forces.
@@ -24,9 +24,9 @@ BINS = 200  # longer runs have their counts summed to about this many intervals,
 
 
 def plot_energy(axes: Axes, rows: dict[str, np.ndarray]) -> None:
-    """Kinetic, potential and total energy; the change of the total, relative to the largest energy there was.
+    """Draw kinetic, potential and total energy; the heading gives the change of the total, relative to the largest energy.
 
-    A run with a force along a periodic axis has the kinetic energy alone.
+    A run with a force along a periodic axis has only a kinetic energy.
     """
     axes.plot(rows["time"], rows["kinetic"], label="kinetic")
     if not np.isfinite(rows["total_energy"]).all():
@@ -43,13 +43,13 @@ def plot_energy(axes: Axes, rows: dict[str, np.ndarray]) -> None:
 
 
 def plot_momentum(axes: Axes, rows: dict[str, np.ndarray]) -> None:
-    """Every component of the total momentum; round-off is not blown up, for the sum of m|v| is at least 2 K / (largest speed)."""
+    """Draw the components of the total momentum; round-off is not magnified: sum of m|v| is at least 2 K / (largest speed)."""
     plot_components(axes, rows, "momentum")
     at_least(axes, 1e-9 * float((2 * rows["kinetic"] / np.maximum(rows["max_speed"], 1e-300)).max()))
 
 
 def plot_components(axes: Axes, rows: dict[str, np.ndarray], what: str) -> None:
-    """Every component of a vector; the heading says how far any of them has moved from its first value."""
+    """Draw every component of a vector; the heading gives the largest change of any from its first value."""
     names = [name for name in rows if name.startswith(f"{what}_")]
     for name in names:
         axes.plot(rows["time"], rows[name], label=name.removeprefix(f"{what}_"))
@@ -58,7 +58,7 @@ def plot_components(axes: Axes, rows: dict[str, np.ndarray], what: str) -> None:
 
 
 def plot_rates(axes: Axes, rows: dict[str, np.ndarray]) -> None:
-    """Events per unit time: the counts since the previous row over the time since then; angular momentum where there are none."""
+    """Draw events per unit time: counts since the previous row over the time since then; angular momentum if there are none."""
     if not any(rows[name].any() for name in EVENTS) and any(name.startswith("angular_momentum_") for name in rows):
         plot_components(axes, rows, "angular_momentum")
         return
@@ -75,14 +75,14 @@ def plot_rates(axes: Axes, rows: dict[str, np.ndarray]) -> None:
 
 
 def plot_speed(axes: Axes, rows: dict[str, np.ndarray]) -> None:
-    """The speed of the fastest particle."""
+    """Draw the speed of the fastest particle."""
     axes.plot(rows["time"], rows["max_speed"])
     axes.set_title("speed of the fastest particle")
     axes.set_ylim(bottom=0)
 
 
 def at_least(axes: Axes, span: float) -> None:
-    """Widen the y range to `span`, so that round-off in a constant is not blown up to the full height."""
+    """Widen the y range to `span`, so that round-off in a constant is not magnified to the full height."""
     low, high = axes.get_ylim()
     grow = max(0.0, (span - (high - low)) / 2)
     axes.set_ylim(low - grow, high + grow)

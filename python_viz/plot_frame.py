@@ -22,7 +22,7 @@ def main() -> None:
     parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     parser.add_argument("--frame", type=int, default=-1, help="number of the frame; -1 is the last (default)")
     parser.add_argument(
-        "--dpi", type=dots, default=150, help="pixels for an inch: half makes a picture half as large (default: 150)"
+        "--dpi", type=dots, default=150, help="pixels per inch: half makes a picture half as large (default: 150)"
     )
     add_picture_options(parser)
     options = parse(parser)

@@ -1,9 +1,10 @@
-"""Draw where particles went: the paths of a few, or the places of many at the last frame, seen along the last axis.
+"""Draw the paths of a few particles, or the positions of many at the last frame, seen along the last axis.
 
-One panel a run. Up to 30 particles are drawn as paths that end in a dot: between two frames a curve that begins and ends with
-the velocities there, or a straight line where collisions or walls turn them; through a periodic face it goes on from the face
-across. More are drawn as they stand at the end, as spheres where they have radii, else as points that are brighter where they are
-many. `--span` leaves out what is further from the middle. In one dimension all paths are drawn over time.
+There is one panel per run. Up to 30 particles are drawn as paths that end in a dot: between two frames a curve that fits the
+velocities at both ends, or a straight line if collisions or walls turn the particle; a path that leaves through a periodic face
+continues at the opposite face. More particles are drawn at their last positions, as spheres if they have radii, otherwise as
+points that are brighter where there are many. `--span` leaves out particles far from the middle. In one dimension all paths are
+drawn over time.
 
 example:
     python python_viz/plot_paths.py out/figure_eight out/solar_system --save gravity.png
@@ -34,10 +35,10 @@ PALER = 0.45  # times as strong are the colours when they are used again
 
 
 def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Moments (s,) and places (s, n, d) of all particles there ever were, which leave the box on periodic axes.
+    """Return times (s,) and positions (s, n, d) of all particles of the run; on periodic axes they may leave the box.
 
-    smooth: nothing changes velocities at once. length (d,): of the box on periodic axes, 0 on others. Between two frames a
-    particle went the way that its velocities there tell best, or the shorter way if it may have met something.
+    smooth: velocities never jump. length (d,): of the box on periodic axes, 0 on others. Between two frames a particle goes round
+    the box in the way that fits its velocities best, or the shorter way if it may have collided.
     """
     ids = np.unique(np.concatenate([frame.id for frame in frames]))
     times = np.array([frame.time for frame in frames])
@@ -57,9 +58,9 @@ def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0
 
 
 def inside(path: np.ndarray, lower: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """A path (s, c), of straight lines, as it goes in the box: with a gap (a row of nan) where it leaves through a periodic face.
+    """Return a path (s, c) of straight lines inside the box, with a gap (a row of nan) where it leaves through a periodic face.
 
-    lower, length (c,): where the box begins and how long it is; length 0 for what is not periodic, as is time.
+    lower, length (c,): the lower corner of the box and its length; length 0 for axes that are not periodic, and for time.
     """
     number, cuts = np.arange(len(path)), []
     for k in np.flatnonzero(length):
@@ -82,7 +83,7 @@ def inside(path: np.ndarray, lower: np.ndarray, length: np.ndarray) -> np.ndarra
 
 
 def plot_few(axes: Axes, places: np.ndarray, lower: np.ndarray, length: np.ndarray) -> None:
-    """A path a particle, and where it is at the end."""
+    """Draw the path of each particle, and its position at the end."""
     for i in range(places.shape[1]):
         color = 1.0 - (1.0 - np.array(to_rgb(PAINTS[i % len(PAINTS)]))) * PALER ** (i // len(PAINTS))
         path = inside(places[:, i], lower, length)
@@ -91,7 +92,7 @@ def plot_few(axes: Axes, places: np.ndarray, lower: np.ndarray, length: np.ndarr
 
 
 def plot_spheres(axes: Axes, position: np.ndarray, radius: np.ndarray) -> None:
-    """Spheres from above, the lower ones first and darker."""
+    """Draw spheres from above, the lower ones first and darker."""
     order = np.argsort(position[:, -1]) if position.shape[1] > 2 else np.arange(len(position))
     height = np.linspace(0.25, 0.95, len(order))
     size = 2.0 * radius[order]
@@ -101,14 +102,14 @@ def plot_spheres(axes: Axes, position: np.ndarray, radius: np.ndarray) -> None:
 
 
 def plot_points(axes: Axes, position: np.ndarray) -> None:
-    """Many points, on black."""
+    """Draw many points, on black."""
     axes.set_facecolor("black")
     size = float(np.clip(1.5 * (MANY_POINTS / max(len(position), 1)) ** 0.5, 1.5, 4.0))
     axes.plot(position[:, 0], position[:, 1], ".", ms=size, mew=0, color="#ffe8c0", alpha=0.6)
 
 
 def plot(axes: Axes, run: Run, span: float, title: str) -> None:
-    """One run."""
+    """Draw one run."""
     last, half, scene = run[-1], 0.0, run.about.get("scene", {})
     smooth, d = not {"collisions", "walls"} & scene.get("effects", {}).keys(), run.dimension
     box, points = scene.get("box"), last.radius == 0.0
@@ -151,7 +152,9 @@ def plot(axes: Axes, run: Run, span: float, title: str) -> None:
 def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN_DIR")
-    parser.add_argument("--span", type=float, default=0.97, metavar="PART", help="part of many points that is shown")
+    parser.add_argument(
+        "--span", type=float, default=0.97, metavar="PART", help="part of many points that is shown (default: 0.97)"
+    )
     options = parse(parser)
     columns = min(len(options.runs), COLUMNS)
     rows = -(-len(options.runs) // columns)

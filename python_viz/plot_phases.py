@@ -1,7 +1,7 @@
-"""Where the time of a run goes, and how it scales with MPI ranks; from the phase timers in run.json.
+"""Draw how a run spends its time, and how it scales with MPI ranks, from the phase timers in run.json.
 
-One run: a bar for each phase (mean over ranks, with the fastest and the slowest rank as a line) and its share of the loop.
-Several runs of one scene on different numbers of ranks: stacked bars of the phases, strong scaling against the ideal, and
+For one run: a bar for each phase (mean over ranks, with a line from the fastest to the slowest rank) and its share of the loop.
+For several runs of one scene on different numbers of ranks: stacked bars of the phases, strong scaling and the ideal, and
 efficiency. With --weak the runs are taken to have a constant load per rank: ideal is a constant time, efficiency = T1 / Tp.
 
 examples:
@@ -29,8 +29,8 @@ LIGHT = "#b6bcc6"
 class Timing:
     """The timers of one run, in seconds: {"min", "mean", "max"} over ranks; `phases` are parts of the `loop`, after `setup`.
 
-    words: for the names of phases, as in the table at the end of a run; first: the step from which on all this is, above 0 where
-    the run went on from there; rest: time of the loop that no phase counts.
+    words: for the names of phases, as in the table at the end of a run; first: the step from which the times count, above 0 if
+    the run was continued; rest: time of the loop outside all phases.
     """
 
     def __init__(self, run: Run):
@@ -46,13 +46,13 @@ class Timing:
 
 
 def odd_one(timings: list[Timing]) -> Path | None:
-    """The folder of the first run that did not compute what the first of them did, or of which other steps were timed."""
+    """Return the folder of the first run that is of another scene than the first one, or of which other steps were timed."""
     first, *others = ((t.run.folder, t.run.about["scene"], t.first, t.run.about["counts"]["steps"]) for t in timings)
     return next((folder for folder, *what in others if what != list(first[1:])), None)
 
 
 def draw_one(timing: Timing) -> Figure:
-    """Horizontal bars of the phases, longest first, then what no phase counts, then setup (not part of the loop)."""
+    """Draw horizontal bars of the phases, longest first, then the time outside phases, then setup (not part of the loop)."""
     phases = sorted(timing.phases.items(), key=lambda item: -item[1]["mean"])
     rest = dict.fromkeys(("min", "mean", "max"), timing.rest)
     outside = [("not in a phase", rest)] * (timing.rest > 1e-3 * timing.loop["mean"]) + [("setup", timing.setup)]
@@ -79,7 +79,7 @@ def draw_one(timing: Timing) -> Figure:
 
 
 def draw_stack(axes: Axes, timings: list[Timing]) -> None:
-    """A bar for each run, phases stacked; phases beyond the longest MOST, and time in no phase, are the grey top."""
+    """Draw a bar for each run with stacked phases; those beyond the longest MOST, and time outside phases, are grey on top."""
     total: dict[str, float] = {}
     for timing in timings:
         for name, phase in timing.phases.items():
@@ -100,7 +100,7 @@ def draw_stack(axes: Axes, timings: list[Timing]) -> None:
 
 
 def draw_scaling(time_axes: Axes, efficiency_axes: Axes, timings: list[Timing], weak: bool) -> None:
-    """Loop time of the slowest rank, and efficiency, against ranks; all relative to the run on the fewest ranks."""
+    """Draw loop time of the slowest rank, and efficiency, against ranks; all relative to the run on the fewest ranks."""
     ranks = np.array([timing.ranks for timing in timings])
     times = np.array([timing.loop["max"] for timing in timings])
     reference = times[ranks == ranks.min()].min()
@@ -133,7 +133,7 @@ def draw_scaling(time_axes: Axes, efficiency_axes: Axes, timings: list[Timing], 
 
 
 def draw_several(timings: list[Timing], weak: bool) -> Figure:
-    """Stacked phases, scaling and efficiency side by side."""
+    """Draw stacked phases, scaling and efficiency side by side."""
     timings = sorted(timings, key=lambda timing: timing.ranks)
     figure, (stack, time, efficiency) = plt.subplots(1, 3, figsize=(15, 5), dpi=130, layout="constrained")
     draw_stack(stack, timings)

@@ -1,6 +1,6 @@
-"""The few things that all scripts here share: their command line, how they end, and where their pictures go.
+"""Shared by all scripts here: their command line, their exit, and the folder of their pictures.
 
-A run is read by `particles_mpi.Run`, also while it is going on: only frames and rows that are whole are used.
+`particles_mpi.Run` reads a run, also while it is still running: only complete frames and rows are used.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def stop(message: str) -> NoReturn:
 
 
 def start(main: Callable[[], None]) -> None:
-    """Run a script; what is wrong with a run, or is not in it, ends it with one line."""
+    """Run a script; if something in a run is wrong or missing, end it with one line."""
     try:
         main()
     except (SceneError, IndexError) as error:
@@ -51,7 +51,7 @@ def start(main: Callable[[], None]) -> None:
 
 
 def dots(text: str) -> int:
-    """Pixels for an inch, for a parser: so many as a picture can have."""
+    """Return pixels per inch, for a parser, within the limits of a picture."""
     number = int(text)
     if not 1 <= number <= 2000:
         raise argparse.ArgumentTypeError(f"{text} is not from 1 to 2000")
@@ -59,7 +59,7 @@ def dots(text: str) -> int:
 
 
 def finite(text: str) -> float:
-    """A number, for a parser."""
+    """Return a finite number, for a parser."""
     number = float(text)
     if not isfinite(number):
         raise argparse.ArgumentTypeError(f"{text} is not finite")
@@ -67,12 +67,12 @@ def finite(text: str) -> float:
 
 
 def spaced(count: float) -> str:
-    """A count with thin spaces between the thousands: 32 000."""
+    """Return a count with thin spaces between the thousands: 32 000."""
     return f"{int(count):_}".replace("_", "\u202f")
 
 
 def new_parser(description: str | None) -> argparse.ArgumentParser:
-    """A parser that shows the docstring of a script as it is written, with the options every script has."""
+    """Return a parser that shows the docstring of a script as it is written, with the options of every script."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--save", type=Path, metavar="FILE", help="where to save (default: a file in RUN_DIR/plots)")
     return parser
@@ -88,7 +88,7 @@ def parse(parser: argparse.ArgumentParser) -> argparse.Namespace:
 
 
 def save_path(asked: Path | None, run: Path, name: str) -> Path:
-    """The file to write: the one asked for, else RUN_DIR/plots/name; its folder is made."""
+    """Return the file to write: the one given by --save, or RUN_DIR/plots/name; make its folder."""
     path = asked or run / "plots" / name
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ def save_path(asked: Path | None, run: Path, name: str) -> Path:
 
 
 def finish(figure: Figure, path: Path, show: bool) -> None:
-    """Save the figure, print where, and open a window if asked."""
+    """Save the figure, print its path, and open a window with --show."""
     from matplotlib import pyplot
 
     known = path.exists()

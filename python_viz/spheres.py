@@ -1,6 +1,6 @@
 """Paint shaded spheres into an image: every pixel of every sphere is lit, and the nearest one wins (a z-buffer).
 
-Radii are exact where a scatter plot only has marker sizes in points. The loop over pixels is compiled, at the first use ever.
+Radii are exact, while a scatter plot only has marker sizes in points. The loop over pixels is compiled at the first use.
 """
 
 from math import floor, sqrt
@@ -35,7 +35,7 @@ def paint_spheres(
 
 @njit(cache=True)
 def _find_nearest(nearest, sphere, center, radius, depth, thickness):  # type: ignore[no-untyped-def]
-    """Which sphere is seen at each sample, and at what distance."""
+    """Find which sphere is seen at each sample, and at what distance."""
     high, wide = nearest.shape
     for i in range(len(radius)):
         r, right, up = radius[i], center[i, 0], center[i, 1]
@@ -50,7 +50,7 @@ def _find_nearest(nearest, sphere, center, radius, depth, thickness):  # type: i
 
 @njit(cache=True)
 def _shade(image, sphere, center, radius, rgb, outlined):  # type: ignore[no-untyped-def]
-    """The mean colour of the samples of each pixel: ambient and diffuse light, a darker limb, a small highlight (Blinn-Phong)."""
+    """Return the mean colour of each pixel's samples: ambient and diffuse light, darker limb, small highlight (Blinn-Phong)."""
     for row in range(sphere.shape[0]):
         for column in range(sphere.shape[1]):
             i = sphere[row, column]

@@ -28,7 +28,7 @@ class Membership(State):
         given = python_values(population)
         same_on_all(self.ranks, {"add": given})
         if not isinstance(given, dict):
-            raise TypeError(f"add: takes the keys of one [[particles]] table by name, and not {population!r:.60}")
+            raise TypeError(f"add: takes a dict with the keys of one [[particles]] table, not {population!r:.60}")
         self.take_changes()
         number = len(self.scene.particles) + self.additions
         with raising_together(self.ranks):
@@ -47,12 +47,12 @@ class Membership(State):
         self.take_changes()
         given = [np.asarray(of).reshape(-1) for of in self.ranks.allgather(ids)]
         if not all(of.dtype.kind in "iu" for of in given if len(of)):
-            raise ValueError("remove: takes ids, which are integers; of a mask those are sim.particles.id[mask]")
+            raise ValueError("remove: takes ids, which are integers; for a mask use sim.particles.id[mask]")
         named = np.unique(np.concatenate([of.astype(np.int64) for of in given]))
         here = np.isin(self.rows.id, named)
         if self.ranks.total(np.count_nonzero(here))[0] < len(named):
             found = np.concatenate(self.ranks.allgather(self.rows.id[here]))
-            raise ValueError(f"remove: no {listed(np.setdiff1d(named, found))}")
+            raise ValueError(f"remove: not found: {listed(np.setdiff1d(named, found))}")
         if "virial" in self.rows.arrays:  # from here on only collisions of the remaining particles count
             gone = exact_sums(self.ranks, [self.rows.virial[here]])[0]
             for since in self.output_record.observed.values():
@@ -70,11 +70,9 @@ class Membership(State):
         same_on_all(self.ranks, {"attach": [name, str(values.dtype), list(values.shape)]})
         taken = name in BUILT_IN or name in fields_of(self.scene)  # FIELDS also has columns of effects that this scene lacks
         if taken or name in dir(ParticleView) or not name.isidentifier() or name.startswith("_"):
-            raise ValueError(
-                f"attach: {name!r} must be a name of your own, of letters, digits and _, which is not the first of them"
-            )
+            raise ValueError(f"attach: {name!r} must be a new name, of letters, digits and _, that begins with a letter")
         if values.shape[:1] != (self.total,) or values.dtype.kind not in "biuf":
-            raise ValueError(f"attach: {name!r} must come with an array of numbers for {self.total} particles")
+            raise ValueError(f"attach: {name!r} needs an array of numbers with a row for each of {self.total} particles")
         same_on_all(self.ranks, {}, {name: values})
         self.take_changes()
         ids = np.sort(np.concatenate(self.ranks.allgather(self.rows.id)))

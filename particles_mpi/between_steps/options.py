@@ -116,7 +116,7 @@ def require_masses(sim: Any, scene: Scene, name: str, key: str) -> None:
     without = p.id[divided_masses(scene, p.fixed).get(name, False) & (p.mass == 0.0)]
     first = sim.ranks.least(float(without.min()) if len(without) else np.inf)
     if first < np.inf:
-        raise SceneError([f"effects.{name}.{key}: masses would be divided by, and particle {first:.0f} has none"])
+        raise SceneError([f"effects.{name}.{key}: it divides by masses, but particle {first:.0f} has none"])
 
 
 def change_effect(sim: Any, name: str, key: str, value: Any) -> None:

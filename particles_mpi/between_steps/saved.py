@@ -24,7 +24,7 @@ def require_effect_files(scene: Scene, before: dict[str, str], path: str | Path)
     """Raise SceneError if the file of an effect has changed since `path` was written; before: `Scene.digests` of that time."""
     now = scene.digests()
     if other := [name for name in before if before[name] != now.get(name)]:
-        raise SceneError([f"effects.{name}.file: is not what it was when {path} was written" for name in other])
+        raise SceneError([f"effects.{name}.file: has changed since {path} was written" for name in other])
 
 
 class Saved(Membership):

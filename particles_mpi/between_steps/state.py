@@ -76,15 +76,15 @@ class State:
         known = name in vars(self) or not self.complete or hasattr(type(self), name)
         if not known and type(self).__module__.startswith("particles_mpi."):
             raise AttributeError(
-                f"sim.{name}: there is no such thing to be set; a script sets sim.h, sim.time, fields of"
-                " sim.particles, and options of sim.effects[name]"
+                f"sim.{name}: no such attribute; a script may set sim.h, sim.time, fields of"
+                " sim.particles and options of sim.effects[name]"
             )
         super().__setattr__(name, value)
 
     def begin(self, scene: Scene, ranks: Communicator, rows: Particles, next_id: int = 0) -> None:
         """Set up the state with the particles of this rank. `next_id`: the least id of a particle that is added. Collective."""
         if digests := scene.digests():
-            same_on_all(ranks, {"contents of files of effects": digests})
+            same_on_all(ranks, {"contents of effect files": digests})
         self.scene, self.ranks, self.timers = scene.running(), ranks, Timers()
         self.warnings: list[str] = []
         self.steps_done, self._h = 0, scene.time.step
@@ -143,7 +143,8 @@ class State:
             try:
                 self.particles.close()
                 self.broken = (
-                    f"step {step} ended halfway: its particles belong to no moment; go on from an earlier copy or a checkpoint"
+                    f"step {step} ended halfway: its particles are not all at one time;"
+                    " continue from an earlier copy or a checkpoint"
                 )
                 yield
                 self.broken = ""
@@ -188,7 +189,7 @@ class State:
                 row = wrong[p.id[wrong].argmin()]
                 given = ", ".join(f"{value:g}" for value in np.ravel(values[name][row]))
                 raise StateError(
-                    f"particles.{name}: particle {p.id[row]} on rank {self.ranks.rank} was given {given}, which it cannot have"
+                    f"particles.{name}: particle {p.id[row]} on rank {self.ranks.rank} was given {given}, which is not possible"
                 )
         if "position" in values and self.active.walls:
             fixed, planes, nowhere = values.get("fixed", p.fixed), tuple(self.active.walls.planes), np.zeros(p.dimension)
@@ -211,7 +212,7 @@ class State:
     def time(self, value: float) -> None:
         same_on_all(self.ranks, {"time": value})
         if not (is_number(value) and np.isfinite(value)):
-            raise ValueError(f"time: {value!r} is no finite number")
+            raise ValueError(f"time: {value!r} is not a finite number")
         for since in self.output_record.observed.values():
             since[0] += value - self.time
         if "contacted" in self.rows.arrays:  # times of the last contacts
@@ -228,7 +229,7 @@ class State:
     def h(self, value: float) -> None:
         same_on_all(self.ranks, {"h": value})
         if not (is_number(value) and 0.0 < value < np.inf):
-            raise ValueError(f"h: {value!r} is no length of a step, which is above 0")
+            raise ValueError(f"h: {value!r} is not a step length, which is a number above 0")
         self.clock_start = self.time, self.steps_done
         self._h = float(value)
         self.forget_contacts()

@@ -52,7 +52,7 @@ class ParticleView:
 
     def __setattr__(self, name: str, value: Array) -> None:
         if hasattr(type(self), name) or name.startswith("_"):
-            raise AttributeError(f"{name} is no field: it cannot be set")
+            raise AttributeError(f"{name} is not a field: it cannot be set")
         shown = getattr(self, name)  # an unknown name is an error: data of one's own come by `attach`
         if value is not shown:
             shown[...] = value
@@ -127,7 +127,7 @@ class ParticleView:
             if (array := reference()) is not None and zlib.crc32(array.data) != crc:
                 raise StateError(
                     f"particles.{name}: an array of an earlier step was written to, which has no effect;"
-                    " ask sim.particles for it anew after each step"
+                    " read it from sim.particles again after each step"
                 )
         while self._shown:
             self._shown.popitem()[1].flags.writeable = False

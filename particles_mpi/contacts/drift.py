@@ -197,12 +197,12 @@ class Drift:
         """Return what happened that a user should know, one line for each remark. Collective."""
         counts = np.array([self.totals["missed"], self.totals["unconverged"]])
         missed, unsolved = self.context.ranks.allreduce_sum(counts).tolist()
-        more = [f"contacts that last: {unsolved} solutions ended above contact_tolerance"] if unsolved else []
+        more = [f"lasting contacts: {unsolved} solutions ended above contact_tolerance"] if unsolved else []
         if missed:
-            crowded = "a particle had no room, or more contacts in a step than could be put in order"
+            crowded = "a particle had no room, or had more contacts in a step than could be put in order"
             rewind = self.effects.pairs and self.effects.pairs.options.mode == "rewind"
-            cure = "; shorter steps, more collisions.passes, or mode event have fewer" if rewind else ""
-            more.append(f"missed: {missed} times {crowded}; diagnostics.csv tells when{cure}")
+            cure = "; shorter steps, more collisions.passes or mode event help" if rewind else ""
+            more.append(f"missed: {missed} times {crowded}; diagnostics.csv shows when{cure}")
         return [*more, *self.remarks_of_operators()]
 
     def remarks_of_operators(self) -> list[str]:

@@ -44,14 +44,14 @@ class Options(EffectOptions):
     def faults(self, scene: Scene) -> list[str]:
         d, auto, periodic = scene.dimension, self.method == "auto", any(scene.periodic)
         faults = {
-            'method: forces of a tree jump where cells change, and "adaptive" would follow that to round-off; use "direct"': (
+            'method: the forces of a tree jump where cells change, which "adaptive" cannot follow; use "direct"': (
                 self.method == "tree" and scene.time.integrator == "adaptive"
             ),
             f'method: there is no tree in dimension {d}; use "direct"': self.method == "tree" and d not in TREES,
             'opening_angle: method "auto" chooses it; give accuracy': self.opening_angle is not None and auto,
             'accuracy: only with method "auto"': self.accuracy is not None and not auto,
             'multipole: "monopole" only with method "tree"': self.multipole == "monopole" and self.method != "tree",
-            "method: no images of a periodic box attract one another here; use a box that is not periodic, or none": periodic,
+            "method: attraction by images in a periodic box is not computed; use a box that is not periodic, or none": periodic,
         }
         return [fault for fault, wrong in faults.items() if wrong]
 

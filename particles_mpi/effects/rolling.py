@@ -16,16 +16,16 @@ class Options(EffectOptions):
 
     def faults(self, scene: Scene) -> list[str]:
         if not scene.rough:
-            return ["resistance: nothing rolls without friction in [effects.collisions] or [effects.walls]"]
+            return ["resistance: spheres roll only with friction in [effects.collisions] or [effects.walls]"]
         if not any(issubclass(options.effect_class(), Force) for options in scene.effects.values()):
-            return ["resistance: acts in contacts that last, of which there are none without a force"]
+            return ["resistance: acts only in lasting contacts, and there are none without a force"]
         return []
 
 
 class Effect(RollingResistance):
     """Acts in the solution for contacts that last. A hit is over at once, so the couple has no time to act in it."""
 
-    formula = "|couple| <= b N, against the rolling of contacts that last"
+    formula = "|couple| <= b N, against rolling in lasting contacts"
     needs = Needs(divides_by_mass=True, integrators=("leapfrog",))
 
     def __init__(self, options: Options, scene: Scene):

@@ -62,7 +62,7 @@ def check_places(particles: Particles, room: Room, faults: Faults) -> None:
     for w, (point, normal) in enumerate(zip(room.point, room.normal, strict=True)):
         out = inside_wall(x, particles.radius, point, normal) & (particles.fixed == 0)
         place, direction = (", ".join(f"{number:g}" for number in vector) for vector in (point, normal))
-        what = f" not fully inside the wall at ({place}) with normal ({direction})"
+        what = f" not fully on the free side of the wall at ({place}) with normal ({direction})"
         faults.name(f"effects.walls.planes[{w}]: ", particles.id[out], what)
 
 
@@ -99,7 +99,7 @@ def check_crossings(scene: Scene, particles: Particles, faults: Faults) -> None:
     dt = scene.time.step
     speed = largest_component(particles.velocity) + dt * largest_pull(scene, particles)
     fast = (particles.fixed == 0) & crosses_too_often(scene, speed, dt)
-    what = f" would cross the box more than {MOST_CROSSINGS:g} times in a step of {dt:g}"
+    what = f" would cross the box more than {MOST_CROSSINGS:g} times in a step of {dt:g}; use a shorter step"
     faults.name("time.step: ", particles.id[fast], what)
 
 
@@ -126,7 +126,7 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
     radius, moving = particles.radius, speed > 0.0
     points = listed_ids(ranks, particles.id[moving & (radius == 0.0)])
     if points and not (event and scene.dimension == 1):
-        warnings.append(f"particles: {points} with radius 0: points meet spheres, but never one another")
+        warnings.append(f"particles: {points} with radius 0: points collide with spheres, but never with one another")
     if not event:
         fast = moving & (radius > 0.0) & (speed * dt > 2.0 * radius)
         safe = ranks.least((2.0 * radius[fast] / speed[fast]).min(initial=inf))
@@ -139,15 +139,17 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
     pushed = listed_ids(ranks, particles.id[coarse])
     if pushed:
         what = f"forces move {pushed} by more than a radius in a step of {dt:g}"
-        warnings.append(f"time.step: {what}: contacts will be coarse, and piles slow; better is a step <= {rounded_down(fine):g}")
+        warnings.append(
+            f"time.step: {what}: contacts will be inaccurate, and piles slow; better use a step <= {rounded_down(fine):g}"
+        )
     movable_radius = radius[particles.fixed == 0]
     widest, movable, fastest = ranks.largest(*(column.max(initial=0.0) for column in (radius, movable_radius, speed)))
     if event:  # a sphere must not meet two images of another
         least = 2.0 * (widest + movable) * ROOM_FOR_SKINS
-        need = f"two contact distances and a thousandth, {least:.5g}"
+        need = f"{ROOM_FOR_SKINS:g} times two contact distances, {least:.5g}"
     else:
         least = 2.0 * (widest + movable + 2.0 * fastest * dt)
-        need = f"2 (R + R' + 2 v dt) = {least:g} for the largest particle, the largest that moves, and the fastest"
+        need = f"2 (R + R' + 2 v dt) = {least:g}, with R of the largest particle, R' of the largest moving, v of the fastest"
     for k, length in enumerate(scene.periodic_length):
         if 0.0 < length <= least:
             faults.add(f"box: periodic axis {k} is {length:g} long, but collisions need more than {need}")

@@ -77,7 +77,7 @@ class Columns:
             least, most = max(np.iinfo(own.dtype).min, -LARGEST_WHOLE), min(np.iinfo(own.dtype).max, LARGEST_WHOLE)
             whole = (values >= least) & (values <= most) & (values == np.rint(values))
             wrong = ~whole & np.ones(own.shape if len(own) else (0,), bool)
-            self.refuse(share, name, wrong, f"no whole number of {own.dtype} for")
+            self.refuse(share, name, wrong, f"not a whole number of type {own.dtype} for")
             values = np.where(whole, values, 0.0)
         if len(own):
             own[:] = values

@@ -58,7 +58,7 @@ def add_population(
             values = np.broadcast_to(value, (populator.total, *particles[name].shape[1:]))
             particles[name][len(there) :] = values[populator.first : populator.last]
         except ValueError:
-            raise SceneError(f"{key}.{name}: not a value for each of {populator.total} particles") from None
+            raise SceneError(f"{key}.{name}: must be one value, or one for each of {populator.total} particles") from None
     return particles, warnings
 
 
@@ -162,7 +162,7 @@ class Populator:
             self.notes.append(f"particles[{number}].position: {unread}")
         for name in given:
             if said.get(name, place) != place:
-                self.notes.append(f"particles[{number}].{name}: that of the scene is taken, and not that in {place['file']}")
+                self.notes.append(f"particles[{number}].{name}: the value in the scene is used, not that in {place['file']}")
         return population.model_copy(update={name: place for name in given if name not in said})
 
     def count_of(self, number: int, population: Population, files: dict[str, Table]) -> int:

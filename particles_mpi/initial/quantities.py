@@ -40,7 +40,7 @@ def fill_attributes(columns: Columns, share: Share) -> None:
         fill_spins(columns, share)
     for name, needed in divided_masses(scene, arrays["fixed"][rows]).items():
         massless = needed & (arrays["mass"][rows] == 0.0)
-        columns.refuse(share, "mass", massless, f"0, but [effects.{name}] divides by it, for")
+        columns.refuse(share, "mass", massless, f"[effects.{name}] divides by it, so it must be above 0 for")
 
 
 def fill_spins(columns: Columns, share: Share) -> None:
@@ -64,7 +64,7 @@ def fill_spins(columns: Columns, share: Share) -> None:
         spin[:] = normal * np.sqrt(value["temperature"] / np.where(turns, moment, np.inf))[:, None]
         return
     columns.fill(share, "spin", [[s] for s in value] if d == 2 and isinstance(value, list) else value)
-    columns.refuse(share, "spin", (fixed != 0) & (spin != 0.0).any(axis=1), "not zero, but fixed:")
+    columns.refuse(share, "spin", (fixed != 0) & (spin != 0.0).any(axis=1), "must be 0 for fixed")
 
 
 def fill_places(columns: Columns, shares: list[Share], room: Room, scattered: Array) -> None:
@@ -109,8 +109,8 @@ def scatter(columns: Columns, share: Share, room: Room, addition: RandomAddition
         return f"spheres of radius {largest:g} do not fit into the box on axis {wide[0]}"
     most, fraction = JAMMING_PACKING.get(dimension, inf), packing_fraction(ranks, own, room)
     if room.solid and count > 1000 and smallest == largest and fraction > most:
-        said = f"{count} spheres have packing fraction {fraction:.3g}, above the {most} at which"
-        return f"{said} random places run out; {advice(fraction, dimension)}"
+        said = f"{count} spheres have packing fraction {fraction:.3g}, more than the {most} at which"
+        return f"{said} no more random positions are found; {advice(fraction, dimension)}"
     key = int(np.random.Philox(key=stream_key(columns.scene.seed, share.number, "position")).random_raw())
     columns.arrays["position"][share.rows], missing = addition.place(key, np.arange(*share.numbers), own)
     if not missing:
@@ -134,14 +134,14 @@ def fill_velocities(columns: Columns, share: Share, shares: list[Share]) -> None
         return
     if isinstance(value, list) or "file" in value:
         columns.fill(share, "velocity", value)
-        columns.refuse(share, "velocity", fixed & (velocity != 0.0).any(axis=1), "not zero, but fixed:")
+        columns.refuse(share, "velocity", fixed & (velocity != 0.0).any(axis=1), "must be 0 for fixed")
         return
     movable = columns.ranks.total(np.count_nonzero(~fixed))[0]
     if value != "equilibrium" and not movable and value not in ({"speed": 0}, {"temperature": 0}):
-        columns.refuse(share, "velocity", fixed, "given, but fixed:")
+        columns.refuse(share, "velocity", fixed, "cannot be given for fixed")
         return
     if isinstance(value, dict) and "temperature" in value:
-        columns.refuse(share, "velocity", ~fixed & (arrays["mass"][share.rows] == 0.0), "a temperature needs a mass:")
+        columns.refuse(share, "velocity", ~fixed & (arrays["mass"][share.rows] == 0.0), "a temperature needs a mass for")
         if columns.faults.found:
             return
     velocity[:] = drawn_velocities(columns, share, shares)

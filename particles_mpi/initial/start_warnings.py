@@ -10,9 +10,9 @@ from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.schema import Scene
 
 IDLE = {  # by effect: the field by which it acts on a particle, and what is said where it is 0 for all
-    "drag": ("drag", "slows nobody: neither it has a rate, nor particles have a drag of their own"),
-    "user_acceleration": ("acceleration", "moves nobody: no particle has an acceleration"),
-    "mutual_gravity": ("mass", "moves nobody: no particle has a mass"),
+    "drag": ("drag", "slows no particle: it has no rate, and no particle has a drag of its own"),
+    "user_acceleration": ("acceleration", "moves no particle: none has an acceleration"),
+    "mutual_gravity": ("mass", "moves no particle: none has a mass"),
 }
 
 
@@ -21,7 +21,8 @@ def rounded_end(scene: Scene) -> list[str]:
     step, end, steps = scene.time.step, scene.time.end, scene.steps
     if end is None or abs(steps * step - end) <= 1e-6 * step:
         return []
-    return [f"time.end: {end:g} is no whole number of steps of {step:g}: the run ends at t = {steps * step:g}, after {steps}"]
+    ends = f"the run ends at t = {steps * step:g}, after step {steps}"
+    return [f"time.end: {end:g} is not a whole number of steps of {step:g}: {ends}"]
 
 
 def planes_that_end(scene: Scene) -> list[str]:
@@ -30,7 +31,7 @@ def planes_that_end(scene: Scene) -> list[str]:
     axes = [[k for k in np.flatnonzero(scene.periodic).tolist() if plane.normal[k] != 0.0] for plane in planes]
     return [
         f"effects.walls.planes[{number}].normal: not zero along periodic axis {crossed[0]}:"
-        " what goes round on that may come out behind the plane"
+        " a particle that leaves the box there may come back behind the plane"
         for number, crossed in enumerate(axes)
         if crossed
     ]
@@ -49,7 +50,7 @@ def endless_falls(scene: Scene, particles: Particles, ranks: Communicator) -> li
         drawn.append((f"user_acceleration: not zero for {named}", axes[along]))
     return [
         f"effects.{what} along periodic {'axis' if len(along) == 1 else 'axes'} {' and '.join(map(str, along))}:"
-        " there is no potential energy along an axis without an end; potential and total_energy will be nan"
+        " such a force has no potential energy; potential and total_energy will be nan"
         for what, along in drawn
         if len(along)
     ]
@@ -77,7 +78,7 @@ def points_that_stick(scene: Scene, particles: Particles, ranks: Communicator) -
     points, total = ranks.total(np.count_nonzero(particles.radius == 0.0), len(particles))
     if points < 2 or total < 3:
         return []
-    return ["effects.collisions: points on a line that stick together let a third one through: give them a radius, however small"]
+    return ["effects.collisions: points that stick together on a line let a third one pass: give them a radius, however small"]
 
 
 def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:
@@ -95,7 +96,7 @@ def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[
     verb = "are" if text.startswith("pairs") else "is"
     return [
         f"effects.mutual_gravity: {text} {verb} at the same place at the start:"
-        " no force acts between the two; move one, or give a softening"
+        " no force acts between these two; move one, or set softening"
     ]
 
 

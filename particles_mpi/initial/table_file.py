@@ -79,7 +79,7 @@ def read_table(ranks: Communicator, path: Path, quantity: str, dimension: int) -
         if uneven := uneven_line(block, start, line):
             fault = f"{path}: {uneven}"
         elif len(bad):
-            fault = f"{path}: {listed((bad + line).tolist(), 'line')} not finite"
+            fault = f"{path}: {listed((bad + line).tolist(), 'line')}: a number is not finite"
     if first := first_of(ranks, fault, name_rank=False):
         return first
     counts = ranks.allgather(len(values))
@@ -126,9 +126,9 @@ def columns_in(ranks: Communicator, path: Path, dimension: int, quantities: list
         return [], ""
     unread = [name for name in filter(None, start.cells) if name not in chain.from_iterable(known.values())] if given else []
     if not given and len(start.cells) > dimension:
-        return [], f"columns behind the first {dimension} of {path} are not read: a header tells what they hold"
+        return [], f"columns after the first {dimension} of {path} are not read: add a header that names them"
     names = ", ".join(chain.from_iterable(known.values()))
-    return given, f"columns {', '.join(unread)} of {path} are not read, but {names}" if unread else ""
+    return given, f"columns {', '.join(unread)} of {path} are not read; known are {names}" if unread else ""
 
 
 def uneven_line(block: bytes, start: Beginning, first: int) -> str:
@@ -143,7 +143,7 @@ def uneven_line(block: bytes, start: Beginning, first: int) -> str:
     for line in np.flatnonzero((commas + 1 != len(start.cells)) & (ends > begins)).tolist():
         content = block[begins[line] : ends[line]].strip()
         if content and not content.startswith(b"#"):
-            return f"line {first + line} has {commas[line] + 1} columns, and line {start.lines + 1} has {len(start.cells)}"
+            return f"line {first + line} has {commas[line] + 1} columns, but line {start.lines + 1} has {len(start.cells)}"
     return ""
 
 
@@ -158,7 +158,7 @@ def columns_of(given: tuple[str, ...], quantity: str, dimension: int) -> list[in
     if missing := [name for name in names if name not in given]:
         shown = [name if name.isprintable() else ascii(name) for name in given[:MOST_SHOWN]]
         have = [name for name in names if name in given] or named or shown
-        return f"its header has {', '.join(have)} and no {missing[0]}"
+        return f"its header has {', '.join(have)}, but no {missing[0]}"
     if twice := [name for name in names if given.count(name) > 1]:
         return f"its header has {twice[0]} twice"
     return [given.index(name) for name in names]

@@ -73,11 +73,13 @@ class Adaptive:
         x += length * particles.velocity  # no force acts between bodies at the same place before they part
         a = self.accelerations(particles)
         x[:] = now
-        where, (strongest, apart) = f"time.integrator: {done:.6g} into it", self.strongest_pull(particles, a)
+        where, (strongest, apart) = f"time.integrator: {done:.6g} into the step", self.strongest_pull(particles, a)
         if work.progress["blind"][0] > MOST_BLIND:
             furthest = float(self.ranks.allreduce_max(np.array([np.abs(x).max(initial=0.0)]))[0])
-            rounded = f"places of {furthest:.1g} are rounded to {np.spacing(furthest):.1g}"
-            return StateError(f"{where}, {rounded}, which hides the motion of {strongest}{apart}: begin nearer to the origin")
+            rounded = f"positions of {furthest:.1g} are rounded to {np.spacing(furthest):.1g}"
+            return StateError(
+                f"{where}, {rounded}, which hides the motion of {strongest}{apart}: move the start nearer to the origin"
+            )
         meet = f"{strongest} meet{apart}" if apart else f"{strongest} is pulled too strongly"
         return StateError(
             f"{where}, steps get shorter than {length:.2g}: {meet}; softening helps gravity; other forces must be smooth"
@@ -95,4 +97,4 @@ class Adaptive:
             return f"particle {-pulled}", ""
         distance, other = min(others)
         first, second = sorted((-pulled, other))
-        return f"masses {first} and {second}", f", {distance:.1g} apart"
+        return f"particles {first} and {second}", f", {distance:.1g} apart"

@@ -51,7 +51,7 @@ def save_json(path: Path, ranks: Communicator, rows: Particles, metadata: dict[s
     ids = id_range(ranks, rows.id)
     if ids.total > LARGE_TEXT and ranks.is_root:
         needed = ids.total * JSON_BYTES / 1e9
-        cost = f"to_json: {ids.total} particles as text take about {needed:.0f} GB of rank 0; a checkpoint takes none"
+        cost = f"to_json: {ids.total} particles as text need about {needed:.0f} GB on rank 0; use a checkpoint, which needs none"
         warnings.warn(cost, stacklevel=3)
     arrays = in_id_order(ranks, rows.arrays, ids, 1)
     columns = {name: {"dtype": str(column.dtype), "values": _json_values(column)} for name, column in arrays.items()}

@@ -60,5 +60,5 @@ class Watchdog:
             faults += [f"lost: {missing} particle{'s' if missing > 1 else ''}"] if missing > 0 else []
         elif named := listed_ids(ranks, lost):
             faults.append(f"lost: {named}")
-        faults += [f"there more than once: {'; '.join(twice)}"] if twice else []
-        return "; ".join(faults) or "other particles are there than before"
+        faults += [f"present more than once: {'; '.join(twice)}"] if twice else []
+        return "; ".join(faults) or "the particles are not the same as before"

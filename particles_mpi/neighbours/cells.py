@@ -76,8 +76,8 @@ def spacing(low: Array, high: Array, n: int) -> float:
 def too_narrow(length: Array, distance: float) -> StateError:
     """Return the error about spheres that may touch at this distance of their centres, in a periodic box not twice as wide."""
     return StateError(
-        f"particles.radius: a step needs a periodic box more than twice as wide as spheres are apart that touch; it is"
-        f" {length[length > 0.0].min():g} wide, and they are {distance:g} apart"
+        f"particles.radius: a periodic box must be more than twice as wide as the largest distance of touching spheres; it is"
+        f" {length[length > 0.0].min():g} wide, and that is {distance:g}"
     )
 
 

@@ -163,8 +163,8 @@ class Neighbourhood:
                 least, steps = travel, 1
             if not least < widest:
                 raise StoppedError(
-                    f"time.step: a particle crosses {least:.3g} in one step, too far for a periodic box of "
-                    f"{self.length[periodic].min():.3g} to tell a particle from its image; use a shorter step or a larger box"
+                    f"time.step: a particle crosses {least:.3g} in one step, too far to tell particles from their images in a "
+                    f"periodic box of {self.length[periodic].min():.3g}; use a shorter step or a larger box"
                 )
             tolerance = min(tolerance, 0.5 * (widest - least))
             bound = widest - tolerance

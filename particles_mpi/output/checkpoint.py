@@ -201,8 +201,8 @@ class Checkpoint:
         """What is wrong with the file; where a run has put a newer one in its place meanwhile, nothing is."""
         with suppress(FileNotFoundError):
             if self.path.stat().st_ino != self.inode:
-                return SceneError(f"{self.path}: replaced by its run while it was read: start again")
-        return SceneError(f"{self.path}: damaged: it is not what was written (CRC-32)")
+                return SceneError(f"{self.path}: its run replaced it while it was read: try again")
+        return SceneError(f"{self.path}: damaged: its contents are not what was written (CRC-32)")
 
     def _check_shapes(self) -> None:
         """Every field has a row for each particle: checksums do not tell whether all who wrote them agreed on that."""

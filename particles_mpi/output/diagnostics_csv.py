@@ -37,7 +37,7 @@ class Diagnostics(Continuing):
         end = resume_step if last is None else last
         header, *lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True) or [""]
         if header.rstrip("\n").split(",") != self.columns:
-            raise ValueError("it has other columns than the run to be continued")
+            raise ValueError("its columns are not those of the run to be continued")
         for number, line in enumerate(lines, 2):
             cells = line.rstrip("\n").split(",")
             if not line.endswith("\n") or (cells[0].isdigit() and int(cells[0]) > end):
@@ -47,6 +47,6 @@ class Diagnostics(Continuing):
             except ValueError:
                 numbers = []
             if len(numbers) != len(self.columns):
-                raise ValueError(f"line {number} is no row of it")
+                raise ValueError(f"line {number} is not a row of this table")
             self.rows.append(cells)
         check_last([int(row[0]) for row in self.rows], resume_step, last)

@@ -76,12 +76,12 @@ class Continuing:
         self.path, self.ranks = Path(path), ranks
         with failing_together(ranks, f"cannot read {path}"):
             if ranks.is_root and resume_step is not None and not self.path.exists():
-                self.lost = [f"{path} is not there: the new one begins after step {resume_step}"] * (last not in (-1, None))
+                self.lost = [f"{path} is missing: a new one begins after step {resume_step}"] * (last not in (-1, None))
             elif ranks.is_root and resume_step is not None:
                 try:
                     self.read_kept(resume_step, last)
                 except Exception as error:  # damaged files raise anything
-                    way_on = "delete it to go on without what is in it, or go on in another folder"
+                    way_on = "delete it to continue without its contents, or continue in another folder"
                     raise SceneError(f"{path}: cannot be continued: {_reason(error)}; {way_on}") from None
 
     def open(self) -> None:
@@ -125,7 +125,8 @@ def check_last(steps: list[int], resume_step: int, last: int | None) -> None:
     found = steps[-1] if steps else -1
     if last is not None and found != last:
         raise ValueError(
-            f"it should hold step {last}, and up to step {resume_step} " + (f"ends at {found}" if steps else "is empty")
+            f"up to step {resume_step} it should end with step {last}, but it "
+            + (f"ends with step {found}" if steps else "is empty")
         )
 
 
@@ -200,7 +201,7 @@ def open_everywhere(ranks: Communicator, path: Path, task: str) -> None:
         try:
             os.close(os.open(path, os.O_RDWR))
         except FileNotFoundError:
-            raise OSError("it is not there for this rank: all machines must share the folder") from None
+            raise OSError("this rank does not find it: all machines must share the folder") from None
 
 
 def sync(path: Path) -> None:

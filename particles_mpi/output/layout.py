@@ -79,9 +79,9 @@ def frames_up_to(path: Path, resume_step: int, columns: ColumnShapes, last_count
         points = int(sizes[parts].sum()) if whole else 0
         if whole and (found != columns.keys() or (kept and sizes[parts[-1]] != last_count)):
             other = ", ".join(sorted(name.removeprefix("PointData/") for name in found ^ columns.keys()))
-            raise ValueError(f"it holds other {other or 'particles'} than the run to be continued")
+            raise ValueError(f"it differs from the run to be continued in {other or 'the number of particles'}")
         if not whole or any(len(group[place]) < points for place in found):
-            raise ValueError("it does not hold all of its frames")
+            raise ValueError("some of its frames are missing")
         return kept, points, sizes[: int(parts.max(initial=0)) + 1].tolist()
 
 

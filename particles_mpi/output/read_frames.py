@@ -58,7 +58,7 @@ class FrameReader:
         rows = slice(int(index.starts[k]), int(index.starts[k] + index.counts[k]))
         values: Array = self._read(lambda group: group[place_of(name)][rows])
         if len(values) != index.counts[k]:
-            raise SceneError(f"{self.path}: frame {k} is not whole")
+            raise SceneError(f"{self.path}: frame {k} is not complete")
         return values
 
     def _stamp(self) -> tuple[int, int]:

@@ -53,7 +53,7 @@ def checkpoint_to_continue(folder: Path, ranks: Communicator, scene: dict[str, A
                     raise SceneError(f"--resume auto: {folder} holds {', '.join(present)} of an unknown run; use --overwrite")
                 keys = list(changed_keys(json.loads(record.read_text())["scene"], scene))
                 if keys:
-                    raise SceneError([f"{key}: not as in {record}, the run that it holds; use --overwrite" for key in keys])
+                    raise SceneError([f"{key}: differs from the run in {record}; use --overwrite to replace it" for key in keys])
     return ranks.bcast(found)
 
 
@@ -116,7 +116,7 @@ def claim(
             present = [name for name in OURS if (folder / name).exists()]
             continues = resumed and ((own and "checkpoint.h5" in present) or _is_of(folder / "checkpoint.h5", about["scene"]))
             if present and not continues and not overwrite:
-                what = "another run than the one to be resumed" if resumed else "a run"
+                what = "a run other than the one to be resumed" if resumed else "a run"
                 way = "--overwrite or --resume; from Python overwrite=True or resumed=True"
                 way = "--overwrite to replace it, or another folder" if resumed else way
                 raise SceneError(f"--output: {folder} already holds {what} ({', '.join(present)}); use {way}")

@@ -133,7 +133,7 @@ class VtkSeries(Continuing):
         check_last(list(self.frames), resume_step, last)
         gone = [step for step, (file, _) in self.frames.items() if not (self.folder / file).exists()]
         lost = [self.folder / self.frames.pop(step)[0] for step in gone]
-        self.lost = [f"{file} is not there: {self.path.name} no longer names it" for file in lost]
+        self.lost = [f"{file} is missing: {self.path.name} no longer lists it" for file in lost]
 
 
 class Blocks:

@@ -111,7 +111,7 @@ def same_on_all(ranks: Communicator, tables: dict[str, Any], arrays: dict[str, A
     if len(set(digests)) == 1:
         return
     keys = [f"{key}: {_beside(one, two)}" for key, one, two in differences(tables, ranks.bcast(tables))]
-    fault = SceneError(keys or ["particles: not the same values as on rank 0 (files with other contents?)"])
+    fault = SceneError(keys or ["particles: values differ from those on rank 0 (files with other contents?)"])
     raise_first(ranks, fault if digests[ranks.rank] != digests[0] else None)
 
 
@@ -135,7 +135,7 @@ def are_tables(value: Any) -> bool:
 def _beside(one: Any, two: Any) -> str:
     """Two values that differ, as a text; without the values if they are long."""
     texts = [value if isinstance(value, str) else json.dumps(value, default=str) for value in (one, two)]
-    return "not as on rank 0" if max(map(len, texts)) > SHORT_VALUE else f"{texts[0]}, but {texts[1]} on rank 0"
+    return "differs from rank 0" if max(map(len, texts)) > SHORT_VALUE else f"{texts[0]}, but {texts[1]} on rank 0"
 
 
 def is_own(file: Path) -> bool:

@@ -110,4 +110,4 @@ def check_signals() -> None:
     """
     for request in _requests:
         if perf_counter() > max(request.signalled_at, request.begun) + request.grace:
-            raise KeyboardInterrupt("stopped within a step that takes long: what counts is the last checkpoint")
+            raise KeyboardInterrupt("stopped in the middle of a long step: continue from the last checkpoint")

@@ -159,7 +159,7 @@ function fail(why) {
 }
 
 function begin() {
-  canvas.addEventListener("webglcontextlost", () => fail("the browser gave its graphics memory away; load the page again"));
+  canvas.addEventListener("webglcontextlost", () => fail("the browser has lost its graphics memory; load the page again"));
   try {
     spheres = new Spheres(canvas);
   } catch (error) {

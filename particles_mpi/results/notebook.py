@@ -134,4 +134,4 @@ def _display() -> Any:
             return import_module("IPython.display")
     except ImportError:
         pass
-    raise SceneError("view: only in a notebook; elsewhere run into a folder and say: particles-mpi view FOLDER")
+    raise SceneError("view: works only in a notebook; elsewhere run with output=FOLDER, then use: particles-mpi view FOLDER")

@@ -115,11 +115,11 @@ def choose(counts: list[int], quantities: int, room: float, constant: int = 0) -
     stride = min(int(-(-row_bytes * rows // max(room - once, 1.0))), max(1, len(counts) // LEAST_FRAMES))
     if stride > 1:
         frames = frames[::stride]
-        notes.append(f"every {stride}th frame is shown: {len(frames)} of {len(counts)}")
+        notes.append(f"one frame in {stride} is shown: {len(frames)} of {len(counts)}")
     rows = sum(counts[k] for k in frames)
     every = max(1, int(-(-(row_bytes * rows + once) // room)))
     if every > 1:
-        notes.append(f"one particle of {every} is shown")
+        notes.append(f"one particle in {every} is shown")
     return Choice(frames, every, "u2", notes)
 
 
@@ -201,7 +201,7 @@ def described(run: Any, choice: Choice) -> dict[str, Any]:
     notes = list(choice.notes)
     if not run.ended:
         now = f"at t = {frames[-1].time:.6g}, when this page was made"
-        notes.insert(0, f"The run was stopped, or going on, {now}; make it again to see more")
+        notes.insert(0, f"The run had been stopped, or was still going on, {now}; make the page again to see more")
     if run.dimension > 3:
         notes.append(f"the first three of {run.dimension} axes are shown")
     facts = [f"{max(len(frame) for frame in frames):_} particles".replace("_", "\u202f"), f"dimension {run.dimension}"]

@@ -53,7 +53,7 @@ class Run:
         if isinstance(k, slice):
             return [self[i] for i in range(*k.indices(count))]
         if not isinstance(k, int | np.integer):
-            raise TypeError(f"{self.folder}: {k!r} is no number of a frame, and no slice of them")
+            raise TypeError(f"{self.folder}: {k!r} is neither the number of a frame nor a slice")
         if not -count <= k < count:
             there = f"frames 0 to {count - 1}" if count else "no frame yet"
             raise IndexError(f"{self.folder}: no frame {k}: the run has {there}")

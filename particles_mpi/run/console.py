@@ -20,8 +20,8 @@ PHASES = {
     "steps": "many steps in one loop",
     "forces": "sum of forces",
     "kick": "velocities, friction, drag",
-    "rest": "contacts that last",
-    "agree": "agree with others (waits)",
+    "rest": "lasting contacts",
+    "agree": "agree with other ranks (waits)",
     "ghosts": "ghosts: fetch, refresh",
     "migrate": "migrate, balance",
     "pairs": "find candidate pairs",
@@ -130,9 +130,9 @@ class Screen:
                 table.add_row("", Text(row["how"]))
         table.add_row("drift", "dx/dt = v")
         say(table)
-        say(f"  does not run: {', '.join(plan['not_run']) or 'nothing left out'}")
+        say(f"  does not run: {', '.join(plan['not_run']) or 'none: every effect runs'}")
         shown = (plan["frames"] - 1) * plan["every"]
-        last = f" (the last of step {shown}: output.every = {plan['every']})" if 0 <= shown < plan["steps"] else ""
+        last = f" (the last at step {shown}: output.every = {plan['every']})" if 0 <= shown < plan["steps"] else ""
         say(f"  ghosts: {plan['ghosts']}; memory about {decimal(plan['memory_bytes'])}; output {plan['frames']} "
             f"frame{'s' * (plan['frames'] != 1)}{last}, about {decimal(plan['output_bytes'])}")  # fmt: skip
         for line in plan["advice"]:
@@ -149,7 +149,7 @@ class Screen:
         largest = sorted(((seconds, name) for name, seconds in forecast.phases.items()), reverse=True)
         named = [f"{PHASES.get(name, name)} {s / total:.0%}" for s, name in largest if s >= NAMED_SHARE * total > 0.0]
         if named:
-            self.say(f"  of a step: {', '.join(named)}")
+            self.say(f"  shares of a step: {', '.join(named)}")
 
     def start(self, done: int, steps: int) -> Callable[[int, dict[str, Any]], None]:
         """Begin to show progress; returns a function to be called with (steps done, last row of diagnostics).

@@ -46,7 +46,7 @@ if comm.rank == 0:
 """
 
 
-REINSTALL = "remove .venv and ./run.sh setup"
+REINSTALL = "remove .venv, then ./run.sh setup"
 MARKS = {"Open MPI": "Open MPI", "OpenRTE": "Open MPI", "Intel": "Intel MPI", "MPICH": "MPICH", "HYDRA": "MPICH"}
 
 Answer = tuple[str, str]  # what was found, and what to do about it: empty if all is right
@@ -130,7 +130,7 @@ def _ranks(world: int) -> tuple[str, Answer]:
     """Do ranks see each other: those of this run if there are several, otherwise two that are started for it."""
     started = max(world, *(int(os.environ.get(name, 1)) for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")))
     if started > world:
-        return "ranks", (f"{started} started, but each is alone", "this mpirun is of another MPI than mpi4py's: see launcher")
+        return "ranks", (f"{started} started, but each is alone", "this mpirun belongs to another MPI than mpi4py: see launcher")
     if world > 1:
         return "ranks", (f"{world} started, {world} see each other (this very run)", "")
     return "2-rank check", _pair(probe(2)) if launcher() else ("not tried: no launcher", "see launcher")
@@ -140,12 +140,12 @@ def _pair(pair: dict[str, Any]) -> Answer:
     if "error" in pair:
         return pair["error"], "a 2-rank program does not run: try the launcher by hand"
     if pair["size"] != 2:
-        return f"2 started, a world of {pair['size']}", "launcher and mpi4py are of different MPIs"
+        return f"2 started, but MPI counts {pair['size']}", "launcher and mpi4py belong to different MPIs"
     if not pair["sum_right"]:
         return "a wrong sum over the ranks", "this MPI is broken: PARTICLES_MPI_SETUP=pip ./run.sh setup"
     if "hdf5_error" in pair or pair.get("written") is False:
         return f"HDF5: {pair.get('hdf5_error', 'wrong rows')}", REINSTALL
-    return "2 ranks see each other, sums right" + ", collective HDF5 write right" * ("written" in pair), ""
+    return "2 ranks see each other, sums correct" + ", collective HDF5 write correct" * ("written" in pair), ""
 
 
 def _hdf5(alone: dict[str, Any]) -> Answer:
@@ -165,10 +165,10 @@ def _kernels(folder: Path) -> Answer:
     except ValueError as error:
         return str(error).partition(": ")[0], "set NUMBA_CACHE_DIR to a folder that can be written"
     if not os.access(folder, os.W_OK):
-        return f"{folder} cannot be written: numba keeps kernels in the home folder, the first run compiles", ""
+        return f"{folder} cannot be written: numba keeps kernels in the home folder, the first run compiles them", ""
     if compiled := sum(1 for _ in folder.rglob("*.nbi")):
         return f"{compiled} compiled, in {folder}", ""
-    return "empty: the first run compiles (./run.sh setup does it now)", ""
+    return "empty: the first run compiles them (./run.sh setup does it now)", ""
 
 
 def usable_cores() -> int | None:

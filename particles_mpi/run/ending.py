@@ -63,8 +63,8 @@ class Energies:
         if not effects.gives_no_energy or not (change if takes else abs(change)) > NOTICEABLE * largest:
             return []
         better = "" if effects.integrator == "adaptive" or effects.pairs or effects.walls or takes else ADAPTIVE
-        why = "no effect of the scene gives any" if takes else "nothing here takes or gives any"
-        return [f"total energy: from {self.first:.4g} to {self.last:.4g}, though {why}: shorten time.step{better}"]
+        why = "no effect adds any" if takes else "no effect adds or takes any"
+        return [f"total energy: changed from {self.first:.4g} to {self.last:.4g}, though {why}: shorten time.step{better}"]
 
 
 def report_end(
@@ -82,7 +82,7 @@ def report_end(
     say = screen.say
     if windows := counts.get("windows"):
         redone = counts["windows_redone"]
-        say(f"{windows} windows of time verified by the ranks, {redone} redone ({100 * redone / windows:.1f} %)")
+        say(f"{windows} time windows verified between the ranks, {redone} computed again ({100 * redone / windows:.1f} %)")
     for remark in remarks:
         say(remark)
     outcome = {"ended": ended, "timed_from": first, "timers": timers, "phases": PHASES, "remarks": remarks}

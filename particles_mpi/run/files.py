@@ -24,7 +24,7 @@ def without_large_vtk(output: Any, total: int) -> list[str]:
     if total <= MOST_VTK or "vtk" not in output.formats or "formats" in output.model_fields_set:
         return []
     output.formats.remove("vtk")
-    return [f"output.formats: no VTK files of more than {MOST_VTK} particles, unless it asks for them"]
+    return [f'output.formats: no VTK files for more than {MOST_VTK} particles, unless the scene names "vtk" here']
 
 
 class RunFiles:
@@ -43,7 +43,7 @@ class RunFiles:
             self.record.written = {"row": -1, "frame": -1}
         shows_fixed = self.record.written.setdefault("fixed", int(plan["fixed"] > 0))
         if plan["fixed"] and not shows_fixed:
-            sim.warnings.append(f"output: frames in {folder} do not tell who is fixed, for nobody was when they began")
+            sim.warnings.append(f"output: frames in {folder} do not show which particles are fixed: none was in the first frame")
         try:
             self.open(about)
         except BaseException:
@@ -68,7 +68,7 @@ class RunFiles:
             self.frames.append(VtkSeries(self.folder, ranks, d, step, frame))
         if self.continues:
             left = [name for kind, name in FRAMES_IN.items() if kind not in output.formats and (self.folder / name).exists()]
-            old = f"is from before step {sim.steps_done} and gets no more frames"
+            old = f"was written before step {sim.steps_done} and gets no more frames"
             sim.warnings += [f"output.formats: {self.folder / name} {old}" for name in left]
         names = column_names(d, output.observables, "mutual_gravity" in sim.scene.effects, "spin" in sim.rows.arrays)
         self.diagnostics = Diagnostics(self.folder / "diagnostics.csv", ranks, names, step, row)
@@ -149,12 +149,12 @@ class RunFiles:
     def dump(self, error: StateError) -> StateError:
         """Write all rows of an invalid state to `stopped.h5`; returns the error with a text that names the file."""
         sim, path = self.sim, self.folder / "stopped.h5"
-        safe = ", the last checkpoint is untouched" if self.record.saved or self.continues else ""
+        safe = "; the last checkpoint is intact" if self.record.saved or self.continues else ""
         try:
             checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
         except StoppedError as failure:  # the first error must be raised all the same
             return StateError(f"{error}; {failure}{safe}")
-        return StateError(f"{error}; all rows are in {path}{safe}")
+        return StateError(f"{error}; all particles are in {path}{safe}")
 
     def close(self) -> None:
         """Close every file."""

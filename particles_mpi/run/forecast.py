@@ -32,13 +32,15 @@ def outlook(scene: Scene) -> Outlook:
     """The outlook for a scene; the factors are the largest ones that were measured with such scenes, rounded up."""
     effects = ActiveEffects(scene)
     if scene.time.integrator == "adaptive":
-        return Outlook(0.3, 3.0, "steps are cut where bodies come close, and how often that will be is not known")
+        return Outlook(0.3, 3.0, "steps get shorter where bodies come close, and how often that happens is not known")
     if effects.forces and effects.pairs:
         if prod(effects.pairs.loss) < HEAPING:
-            return Outlook(1.0 / TRUST, 10.0, "what forces bring together heaps up, and contacts that last are not counted")
-        return Outlook(1.0 / TRUST, 4.0, "what forces bring together gets faster and denser, and later contacts are not counted")
+            return Outlook(1.0 / TRUST, 10.0, "forces make particles pile up, and later lasting contacts are not included")
+        return Outlook(
+            1.0 / TRUST, 4.0, "forces make particles faster and crowd them together, and later contacts are not included"
+        )
     if effects.keeps_contacts:
-        return Outlook(1.0 / TRUST, 3.0, "what falls comes to rest, and contacts that last are not counted")
+        return Outlook(1.0 / TRUST, 3.0, "falling particles come to rest, and later lasting contacts are not included")
     return Outlook()
 
 

@@ -43,9 +43,9 @@ class Job:
         same_on_all(self.ranks, {f"--{name}": value for name, value in options.items()} | {"--wall-time": wall_time})
         self.last = sim.last_step if steps is None else whole_number("run: steps", steps)  # the step with which the job ends
         if steps is not None and self.last < sim.steps_done:
-            raise SceneError(f"--steps: the run would end with step {self.last}, and has come to step {sim.steps_done}")
+            raise SceneError(f"--steps: the run would end with step {self.last}, but it is already at step {sim.steps_done}")
         if not isinstance(limit, Real | None):
-            raise ValueError(f"run: wall_time: {limit!r} is no number of seconds")
+            raise ValueError(f"run: wall_time: {limit!r} is not a number of seconds")
         self.setup_began = perf_counter() if setup_began is None else setup_began
         self.rehearsal, self.notes, self.scene_file = rehearsal, notes, scene_file
         self.forecast: Forecast | None = None

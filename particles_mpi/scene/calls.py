@@ -31,7 +31,7 @@ def built(name: str, options: EffectOptions, scene: Any) -> Any:
     try:
         made = options.effect_class()(options, scene)
         if options.file and (taken := names_taken(made, scene.dimension)):
-            raise SceneError(f"effects.{name}.file: self.{taken[0]} means something else to the program: use another name")
+            raise SceneError(f"effects.{name}.file: self.{taken[0]} is used by the program itself: use another name")
         return made
     except SceneError:
         raise
@@ -70,4 +70,4 @@ def number_from(name: str, returned: Any) -> int:
     """Return the number of particles that an event says it has changed. StoppedError if it is no such number."""
     if isinstance(returned, int | np.integer) and not isinstance(returned, bool) and returned >= 0:
         return int(returned)
-    raise StoppedError(f"effects.{name}: its `act` returned {returned!r:.60}, and not how many particles it has changed")
+    raise StoppedError(f"effects.{name}: its `act` returned {returned!r:.60}, and not the number of particles that it changed")

@@ -90,7 +90,7 @@ class Effect:
             raise ValueError(f"its needs.integrators: there is no {unknown[0]!r}")
         cls.needs = cls.needs._replace(integrators=tuple(name for name in cls.needs.integrators if name in cls.possible))
         if not cls.needs.integrators:
-            raise ValueError(f"its needs.integrators: what it is works with {' and '.join(cls.possible)} only")
+            raise ValueError(f"its needs.integrators: an effect of this kind works with {' and '.join(cls.possible)} only")
         for name, column in columns.items():
             add_column(name, column)
 

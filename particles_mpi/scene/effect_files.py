@@ -78,7 +78,7 @@ def require_same_again(options: Any) -> None:
     here, there = python_values(dict(options)), python_values(dict(again))  # an array is the same as a list
     other = [key for key in here if here[key] != there[key]]
     if other:
-        raise ValueError(f"option {other[0]}: is another one when read again from a checkpoint: convert it in Effect.__init__")
+        raise ValueError(f"option {other[0]}: changes on its way through a checkpoint: convert it in Effect.__init__")
 
 
 def plain_options(options: Any) -> dict[str, Any]:
@@ -109,10 +109,10 @@ def validated_effects(value: Any, info: ValidationInfo) -> dict[str, Any]:
         key = key_of(("effects", name))
         file = keys.get("file") if isinstance(keys, dict) else None
         if file is None and name not in names:
-            raise ValueError(f"{key}: unknown effect{suggestion(name, names)}; one of your own needs a key file")
+            raise ValueError(f"{key}: unknown effect{suggestion(name, names)}; an effect of your own needs the key file")
         if file is not None:
             if name in names:
-                raise ValueError(f"{key}.file: {name} is an effect of the program; give yours another name")
+                raise ValueError(f"{key}.file: {name} is a built-in effect; give yours another name")
             if not isinstance(file, str) or not str(name).isidentifier():
                 raise ValueError(f"{key}.file: must be the name of a Python file, for an effect whose name is an identifier")
             keys = keys | {"file": str((info.data["folder"] / file).resolve())}

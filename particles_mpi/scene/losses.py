@@ -61,14 +61,14 @@ class Losses(Model):
         for part, losses in self.parts().items():
             key = part + ("friction" if losses.friction is not None else "tangential_restitution")
             if losses.rough and scene.dimension not in (2, 3):
-                faults.append(f"{key}: spins are known in 2 and 3 dimensions, not in {scene.dimension}")
+                faults.append(f"{key}: rough spheres need dimension 2 or 3, not {scene.dimension}")
             if losses.rough and losses.damping is not None:
-                faults.append(f"{key}: damping takes of the whole velocity; give restitution, to which friction belongs")
+                faults.append(f"{key}: damping acts on the whole velocity and has no friction; give restitution instead")
         return faults
 
     @field_validator("restitution")
     @classmethod
     def _one_of_both(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value is not None and info.data.get("damping") is not None:
-            raise ValueError("give restitution or damping, not both (in Python: None for the one to be left)")
+            raise ValueError("give restitution or damping, not both (in Python: set the other to None)")
         return value

@@ -34,7 +34,7 @@ class Model(BaseModel):
     def __setattr__(self, name: str, value: Any) -> None:
         if name in type(self).model_fields and self._running:
             raise AttributeError(
-                f"{name}: the scene of a simulation stays as it is, for the simulation would not see the change;"
+                f"{name}: the scene of a simulation cannot be changed, for the simulation would not see the change;"
                 " set sim.h, sim.time, or an option of sim.effects[name]"
             )
         super().__setattr__(name, value)

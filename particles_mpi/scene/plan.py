@@ -28,7 +28,7 @@ def plan(scene: Scene, particles: Particles, ranks: Communicator, steps: int) ->
     pairs = "collisions" in active
     ghosts = "particles that may meet those of another rank before the next search"
     if pairs and active["collisions"].mode == "event":
-        ghosts = "about three layers of particles around each region, or all on every rank where that is no less work"
+        ghosts = "about three layers of particles around each region, or all particles if that is no more work"
     return {
         "particles": total,
         "fixed": fixed,
@@ -78,27 +78,28 @@ def advice(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]
     if "collisions" in active and 0.0 < radius < inf and speed > 0.0:
         share = speed * h / (2.0 * radius)
         crossed, event = f"crosses {share:.2g} of the smallest diameter in a step", active["collisions"].mode == "event"
-        lines.append(f"step: the fastest particle {crossed}{', any number will do' if event else ' (at most 1)'}")
+        lines.append(f"step: the fastest particle {crossed}{' (any number is allowed)' if event else ' (at most 1 is allowed)'}")
         if event:
-            lines.append("step: mode event takes about 2 us a contact besides: longer steps cost less")
+            lines.append("step: mode event takes about 2 us for each contact, whatever the step: longer steps cost less")
     effects = ActiveEffects(scene)
     if scene.time.integrator == "taylor" and "drag" in active:
         if k * h > 1.0:
             lines.append(f"step: taylor with drag * step = {k * h:.3g} > 1 will oscillate: shorten the step, or use leapfrog")
         lines.append("step: taylor is first order with drag; leapfrog is second order and exact in the velocity")
     elif scene.time.integrator == "taylor" and any(force.place_dependent for force in effects.forces.values()):
-        lines.append("step: taylor is first order with forces that depend on the place; leapfrog is second order")
+        lines.append("step: taylor is first order with forces that depend on position; leapfrog is second order")
     open_axes = np.flatnonzero(np.logical_not(scene.periodic))
     if scene.box and effects.pairs and not effects.walls and len(open_axes):
         axes = " and ".join(map(str, open_axes))
-        lines.append(f"box: particles leave it along {'axis' if len(open_axes) == 1 else 'axes'} {axes}: no [effects.walls]")
+        axes = f"{'axis' if len(open_axes) == 1 else 'axes'} {axes}"
+        lines.append(f"box: particles may leave it along {axes}: there is no [effects.walls]")
     if effects.walls and not len(effects.walls.planes.point):
         why = "planes is an empty list" if scene.active["walls"].planes == [] else "the box is periodic along all axes"
         lines.append(f"effects.walls: {why}, so there is no wall")
     if scene.time.integrator == "taylor" and effects.forces and effects.lossy:
-        lines.append("step: with taylor nothing comes to rest on anything: it bounces on; with leapfrog it does")
+        lines.append("step: with taylor particles keep bouncing and never come to rest on anything; with leapfrog they do")
     if scene.dimension > 3:
-        lines.append("output.formats: vtk has three axes, so hdf5 only, which has places and velocities in all of them")
+        lines.append("output.formats: only hdf5 is written, which has all axes of positions and velocities; vtk has three")
     return lines
 
 

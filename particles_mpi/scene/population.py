@@ -58,7 +58,7 @@ def population_faults(scene: Any, key: str, population: Population) -> list[str]
         faults += wrong_value(f"{key}.{name}", value, Vectors if vector else Scalar, d if vector else 0)
     for name in ("spin", "moment_of_inertia"):
         if getattr(population, name) is not None and not (scene.rough or name in scene.columns):
-            faults.append(f"{key}.{name}: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
+            faults.append(f"{key}.{name}: spheres turn only with friction in [effects.collisions] or [effects.walls]")
     if population.spin is not None and (scene.rough or "spin" in scene.columns):
         faults += wrong_value(f"{key}.spin", population.spin, *((Spin, 0) if d == 2 else (SpinVector, 3)))
     for name, effect in (("drag", "drag"), ("acceleration", "user_acceleration")):

@@ -43,7 +43,7 @@ class Time(Model):
     @model_validator(mode="after")
     def _one_end(self) -> Self:
         if (self.end is None) == (self.steps is None):
-            raise ValueError("time.steps: give one of time.end and time.steps")
+            raise ValueError("time.steps: give either time.end or time.steps")
         if self.tolerance is not None and self.integrator != "adaptive":
             raise ValueError('time.tolerance: only with integrator "adaptive"')
         if self.end is not None and not self.end / self.step < 1e15:
@@ -69,7 +69,7 @@ class Output(Model):
     @classmethod
     def _once(cls, formats: list[str]) -> list[str]:
         if len(set(formats)) < len(formats):
-            raise ValueError("names one of them twice")
+            raise ValueError("names a format twice")
         return formats
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -115,7 +115,7 @@ class Scene(Model):
     def from_dict(cls, tables: dict[str, Any], folder: str | Path = "") -> Self:
         """A scene from the tables of the TOML layout; file names in it are relative to `folder`."""
         if not isinstance(tables, dict):
-            raise SceneError(f"a scene is a table of tables, and not {tables!r:.60}")
+            raise SceneError(f"a scene must be a table of tables, not {tables!r:.60}")
         if "folder" in tables:
             raise SceneError("folder: unknown key")
         return cls(**tables, folder=Path(folder))
@@ -208,18 +208,18 @@ class Scene(Model):
                     faults.append(f"box.upper: {hi} is not above box.lower {lo} on axis {k}")
             volume = prod(hi - lo for lo, hi in zip(self.box.lower, self.box.upper))
             if not faults and not 1.0 / LARGEST_NUMBER < volume < inf:
-                faults.append(f"box: its volume {volume:g} is too small or too large to count with")
+                faults.append(f"box: its volume {volume:g} is too small or too large to compute with")
         if "vtk" in self.output.formats and d > 3:
             self.output.formats.remove("vtk")
             if not self.output.formats:
-                faults.append(f'output.formats: files of VTK have three axes at most; in dimension {d} use "hdf5"')
+                faults.append(f'output.formats: VTK files have three axes at most; in dimension {d} use "hdf5"')
         if "every" not in self.output.model_fields_set and 0 < self.steps < self.output.every:
             self.output.every = self.steps
             self.output.model_fields_set.discard("every")  # the user has not set it
         for number, population in enumerate(self.particles):
             faults += population_faults(self, f"particles[{number}]", population)
         if self.output.orientation and not self.rough:
-            faults.append("output.orientation: nothing turns spheres without friction in [effects.collisions] or [effects.walls]")
+            faults.append("output.orientation: spheres turn only with friction in [effects.collisions] or [effects.walls]")
         if faults:
             raise ValueError("\n".join(faults))
         self._validated = values_in(self)
@@ -232,7 +232,7 @@ class Scene(Model):
         for name, options in self.effects.items():
             effect = options.effect_class()
             if integrator not in effect.needs.integrators:
-                why = f"{reason}, which {name} does not allow" if reason else f"knows no {name}"
+                why = f"{reason}, which {name} does not allow" if reason else f"cannot compute {name}"
                 faults.append(f'time.integrator: "{integrator}" {why}; use "leapfrog"')
             elif integrator == "taylor" and getattr(effect, "rate", None) is VelocityFlow.rate:
                 faults.append(f'time.integrator: "taylor" needs a method `rate` of the effect {name}; use "leapfrog"')

@@ -218,7 +218,7 @@ def main() -> None:
     if world.is_root:
         shutil.rmtree(claims)
         if edited():
-            sys.exit("sources were edited meanwhile: what was compiled since then is not kept")
+            sys.exit("sources were edited meanwhile: kernels compiled since then are not kept")
         Sources(PACKAGE).note()
         print(f"kernels compiled in {perf_counter() - begin:.0f} s")
 

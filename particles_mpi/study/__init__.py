@@ -3,8 +3,8 @@
 `particles-mpi study`, in the order in which to read it:
 
 commands     the commands of a user, and their arguments
-timing       fair seconds of a step: by turns, the slowest rank, medians with quartiles
-experiment   settings of a problem, the errors that each makes, and what each costs
+timing       fair times of a step: settings in turn, on the slowest rank, medians with quartiles
+experiment   the settings of a problem, the errors that each makes, and what each costs
 report       tables, the page, CSV and JSON files; plots: the pictures
 accuracy/    `study accuracy`: built-in problems with known solutions, and the settings of any scene
 recommend/   `study recommend`: the cheapest setting of a scene that reaches a tolerance; the predictions of `check`

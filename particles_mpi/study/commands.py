@@ -9,10 +9,12 @@ from typer.core import TyperGroup
 from particles_mpi.errors import SceneError, StoppedError
 from particles_mpi.run.scene_file import SceneFile, given_path, load
 
-AnyScene = Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else the built-in set.")]
-Folder = Annotated[Path | None, typer.Option(parser=given_path, metavar="DIR", help="Folder for report, pictures and CSV files.")]
-Quick = Annotated[bool, typer.Option("--quick", help="A look within a minute: fewer settings, short samples.")]
-TUNED = "The tuned scene; NAME.tuned.toml if not given."
+AnyScene = Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="Your scene (default: the built-in problems).")]
+Folder = Annotated[
+    Path | None, typer.Option(parser=given_path, metavar="DIR", help="Folder for the report, pictures and CSV files.")
+]
+Quick = Annotated[bool, typer.Option("--quick", help="A first look within a minute: fewer settings, shorter samples.")]
+TUNED = "File for the tuned scene (default: NAME.tuned.toml)."
 TunedFile = Annotated[Path | None, typer.Option(parser=given_path, metavar="TUNED.toml", help=TUNED)]
 
 
@@ -27,7 +29,7 @@ study = typer.Typer(
     cls=Studies,
     no_args_is_help=True,
     rich_markup_mode="rich",
-    help="""Measure the program itself, here and now: what accuracy costs, what a scene needs, how it scales, what stays right.
+    help="""Measure the program on this machine: what accuracy costs, what a scene needs, how it scales, and what must hold.
 
     [bold]study SCENE.toml[/bold] is short for [bold]study accuracy SCENE.toml[/bold].""",
 )
@@ -36,14 +38,14 @@ study = typer.Typer(
 @study.command("accuracy")
 def accuracy(
     scene: AnyScene = None,
-    only: Annotated[str, typer.Option(metavar="LETTERS", help="Only these experiments of the built-in set, as in AC.")] = "",
+    only: Annotated[str, typer.Option(metavar="LETTERS", help="Only these built-in experiments, such as AC.")] = "",
     quick: Quick = False,
     output: Folder = None,
 ) -> None:
-    """What accuracy costs: error against seconds and work, for a scene or the built-in problems.
+    """Measure what accuracy costs: error against seconds and work, for a scene or for the built-in problems.
 
-    A orbits, B close encounters, C hard-sphere fluid, D tree, F softening, G drag and friction, H effects on and off, I contacts
-    that last, J rough spheres.
+    A orbits, B close encounters, C hard-sphere fluid, D tree, F softening, G drag and friction, H effects on and off,
+    I lasting contacts, J rough spheres.
 
     Example:   ./run.sh study accuracy --quick
     """
@@ -51,21 +53,22 @@ def accuracy(
 
     described = load(scene) if scene else None
     if described and only:
-        raise SceneError("--only: chooses among the built-in experiments, not with a scene")
+        raise SceneError("--only: chooses among the built-in experiments; leave it out with a scene")
     study_accuracy(described, only, quick, output or Path("out/study") / (scene.stem if scene else "accuracy"))
 
 
 @study.command("recommend")
 def recommend(
     scene: SceneFile,
-    tolerance: Annotated[float, typer.Option(help="Error that is allowed, relative.")],
+    tolerance: Annotated[float, typer.Option(help="Relative error that is allowed.")],
     error: Annotated[
-        str, typer.Option(metavar="NAME", help="Of what: state, energy, ... (default: all that can be measured so finely).")
+        str,
+        typer.Option(metavar="NAME", help="The only error that counts: state, energy, ... (default: all that can be measured)."),
     ] = "",
     output: TunedFile = None,
-    seconds: Annotated[float, typer.Option(min=1.0, help="About how long to measure.")] = 60.0,
+    seconds: Annotated[float, typer.Option(min=1.0, help="About how many seconds to measure.")] = 60.0,
 ) -> None:
-    """The cheapest setting of a scene that reaches a tolerance: measured, verified at half the step, written as a scene.
+    """Find the cheapest setting of a scene that reaches a tolerance, verify it at half the step, and write it as a scene.
 
     Example:   ./run.sh study recommend my.toml --tolerance 1e-6
     """
@@ -76,14 +79,14 @@ def recommend(
 
 @study.command("scaling")
 def scaling(
-    scene: Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="A scene of yours; else headline.toml.")] = None,
+    scene: Annotated[Path | None, typer.Argument(metavar="[SCENE.toml]", help="Your scene (default: headline.toml).")] = None,
     quick: Quick = False,
     output: Folder = None,
     counts: Annotated[
-        bool, typer.Option("--counts", help="Only what ranks send and hold: ranks may be more than cores.")
+        bool, typer.Option("--counts", help="Count only what ranks send and hold; there may be more ranks than cores.")
     ] = False,
 ) -> None:
-    """Strong and weak scaling over 1, 2, 4 ... ranks of this start, phases, and a model of more ranks.
+    """Measure strong and weak scaling over 1, 2, 4 ... of the ranks started, with phases and a model for more ranks.
 
     Example:   RANKS=4 ./run.sh study scaling my.toml,   RANKS=32 ./run.sh study scaling --counts
     """
@@ -96,15 +99,21 @@ def scaling(
 
 @study.command("hard-cases")
 def hard_cases(
-    only: Annotated[str | None, typer.Option(metavar="TEXT", help="Only cases with this in their name, long ones too.")] = None,
-    full: Annotated[bool, typer.Option("--full", help="Also the cases that take many minutes: beds of 10 000 for 10 s.")] = False,
-    output: Annotated[Path | None, typer.Option(parser=given_path, metavar="FILE.json", help="The outcomes as JSON.")] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="TEXT", help="Only cases with this text in their name, long ones included.")
+    ] = None,
+    full: Annotated[
+        bool, typer.Option("--full", help="Include the cases that take many minutes: beds of 10 000 for 10 s.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option(parser=given_path, metavar="FILE.json", help="File for the outcomes, as JSON.")
+    ] = None,
 ) -> None:
-    """What goes wrong in naive programs, and what must hold here; exit code 3 if something does not.
+    """Run cases that naive programs get wrong, and check what must hold; exit code 3 if something does not.
 
     Example:   ./run.sh study hard-cases --only column
     """
     from particles_mpi.study.hard_cases.catalogue import study_hard_cases
 
     if not study_hard_cases(only, full, output):
-        raise StoppedError("hard cases: not all that must hold does")
+        raise StoppedError("hard cases: something that must hold does not, see FAIL above")

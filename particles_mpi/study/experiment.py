@@ -1,4 +1,4 @@
-"""Experiments: settings of the same problem, the errors that each makes, and what each costs in seconds and in work."""
+"""Experiments: they compare settings of one problem: the errors that each makes, and its cost in seconds and in work."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Setting:
 
 @dataclass
 class Row:
-    """A setting, measured; times come last. `orders`: of each error, from the setting before it on its curve."""
+    """A measured setting; its times are entered last. `orders`: of each error, from the setting before it on its curve."""
 
     setting: Setting
     errors: Errors
@@ -94,7 +94,7 @@ class Experiment:
 
 
 class Benchmark:
-    """Measures settings on the ranks of a communicator. `quick`: short samples and fewer settings, for a look."""
+    """Measures settings on the ranks of a communicator. `quick`: short samples and fewer settings, for a first look."""
 
     def __init__(self, comm: Any = None, quick: bool = False, samples: int = SAMPLES, quiet: bool = True):
         self.comm, self.ranks, self.quick = comm, Communicator(comm), quick
@@ -110,11 +110,11 @@ class Benchmark:
         return self.ranks.run_on_root(lambda: work(alone))
 
     def simulate(self, tables: dict[str, Any]) -> Simulation:
-        """The simulation of a scene given as tables. Collective."""
+        """Return the simulation of a scene given as tables. Collective."""
         return Simulation(Scene.from_dict(tables), comm=self.comm)
 
     def at_end(self, tables: dict[str, Any], *fields: str) -> dict[str, Any]:
-        """Fields of all particles at the end of a scene given as tables, for another scene to start with. Collective."""
+        """Return the fields of all particles at the end of a scene (tables), as the start of another scene. Collective."""
         sim = self.simulate(tables)
         sim.run()
         p = all_particles(sim)
@@ -123,7 +123,7 @@ class Benchmark:
     def setting(
         self, curve: str, parameter: float, tables: dict[str, Any], errors: Callable[[Simulation], Errors], **options: Any
     ) -> Setting:
-        """The setting that computes a scene, given as tables, from its start; `options`: other fields of Setting."""
+        """Return the setting that computes a scene (tables) from its start; `options`: other fields of Setting."""
         time = tables["time"]
         defaults = {"steps": time.get("steps", 0), "by_forces": time.get("integrator") == "adaptive"}
         return Setting(curve, parameter, lambda: self.simulate(tables), errors=errors, **(defaults | options))
@@ -132,7 +132,7 @@ class Benchmark:
         self, key: str, title: str, settings: Iterable[Setting], errors: dict[str, str], reference: str, parameter: str = "step",
         **more: Any,
     ) -> Experiment:  # fmt: skip
-        """The experiment: errors of all settings, then their times, by turns; `more`: its other fields. Collective."""
+        """Return the experiment: errors of all settings, then their times, in turn; `more`: its other fields. Collective."""
         settings = list(settings)
         progress = self.screen.count(title, len(settings) * (2 + self.samples))
         rows = []
@@ -146,9 +146,9 @@ class Benchmark:
         return Experiment(key, title, parameter, errors, reference, rows, **more)
 
     def time(self, rows: list[Row], progress: Callable[[], None], sample_seconds: float | None = None) -> None:
-        """Enter times, measured by turns, and orders into rows; ends the progress bar. Collective.
+        """Measure times in turn, and enter times and orders into the rows; end the progress bar. Collective.
 
-        `sample_seconds`: those of a sample, at least, if not as in the benchmark.
+        `sample_seconds`: the least seconds of a sample, if other than the benchmark's.
         """
         timers = [StepTimer(self.ranks, row.setting.begin, row.setting.steps, row.setting.by_forces) for row in rows]
         time_in_turns(timers, self.samples, sample_seconds or self.sample_seconds, progress)

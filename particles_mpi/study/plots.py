@@ -22,7 +22,7 @@ PLOT_STYLE: Any = {"svg.hashsalt": "study", "font.size": 10, **SPINES}
 
 
 def draw(axes: Any, found: Experiment, title: str) -> None:
-    """Draw one experiment into axes; the seconds alone where there is no error to plot."""
+    """Draw one experiment into axes; only the seconds if there is no error to plot."""
     error = found.main_error
     axes.set_title(title, loc="left", fontsize=10.5)
     if not any(row.errors[error] > 0.0 for row in found.rows):
@@ -49,13 +49,13 @@ def draw(axes: Any, found: Experiment, title: str) -> None:
 
 
 def seconds_and_bars(rows: Sequence[Row]) -> tuple[list[float], list[list[float]]]:
-    """Seconds, and the lengths of their bars to the left and to the right."""
+    """Return the seconds, and the lengths of their error bars to the left and to the right."""
     left = [max(row.seconds.median - row.seconds.low, 0.0) for row in rows]
     return [row.seconds.median for row in rows], [left, [row.seconds.high - row.seconds.median for row in rows]]
 
 
 def label_seconds(axes: Any) -> None:
-    """Seconds on a log axis, as plain numbers, some of them wherever the axis begins and ends."""
+    """Label a log axis of seconds with plain numbers, some of them wherever the axis begins and ends."""
     axes.set(xscale="log", xlabel="seconds (median; bars: quartiles)")
     low, high = axes.get_xlim()
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 60.0 * low else (1.0, 2.0, 5.0)))
@@ -64,7 +64,7 @@ def label_seconds(axes: Any) -> None:
 
 
 def draw_slopes(axes: Any, slopes: Sequence[float]) -> None:
-    """Dashed lines of error ~ seconds^-p, within what is plotted."""
+    """Draw dashed lines of error ~ seconds^-p within the range of the plot."""
     low, high = axes.get_xlim()
     bottom, top = axes.get_ylim()
     for p in slopes:
@@ -79,7 +79,7 @@ def draw_slopes(axes: Any, slopes: Sequence[float]) -> None:
 
 
 def svg(found: Experiment) -> str:
-    """The plot of an experiment, to put into a page."""
+    """Return the plot of an experiment as SVG, for a page."""
     with plt.rc_context(PLOT_STYLE):
         figure, axes = plt.subplots(figsize=(7.2, 4.6), layout="constrained")
         draw(axes, found, f"{found.key}  {found.title}")
@@ -90,7 +90,7 @@ def svg(found: Experiment) -> str:
 
 
 def draw_for_readme(path: Path, all_found: list[Experiment]) -> None:
-    """Write the picture of the README: collisions beside gravity, as far as both were measured."""
+    """Write the picture of the README: collisions and gravity, if they were measured."""
     wanted = [found for key in README_KEYS for found in all_found if found.key == key]
     if wanted:
         with plt.rc_context(PLOT_STYLE):

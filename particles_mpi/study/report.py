@@ -1,4 +1,4 @@
-"""What experiments found: as tables on the screen, as CSV, SVG and JSON files, and as one page that opens offline."""
+"""Reports the results of experiments: as tables on the screen, as CSV, SVG and JSON files, and as one offline page."""
 
 import csv
 import io
@@ -24,8 +24,8 @@ LARGEST_FACTOR = 100.0  # for a tenth of the error: with a larger one a curve do
 WORK_TITLES = {"forces": "forces", "interactions": "pairs", "pair_tests": "tests", "events": "contacts"}  # by kind of work
 TENFOLD = "what ten times more accuracy costs"
 METHOD = """Times: one warm-up, then the median of {samples} samples of at least {least_seconds:g} s (± half the distance of the
-quartiles), settings by turns, the slowest rank, without output and compilation. Errors are the same to the bit each time and on
-any number of ranks. Rows on the Pareto front (nothing is both faster and more accurate) are marked."""
+quartiles), measured for the settings in turn, on the slowest rank, without output and compilation. Errors are the same to the bit
+each time and on any number of ranks. Rows on the Pareto front (nothing is both faster and more accurate) are marked."""
 PAGE_STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1a202c }
 h1 { font-size: 1.7rem } h2 { margin-top: 2.6rem; border-bottom: 1px solid #ddd }
@@ -35,30 +35,30 @@ p.small, li.small { color: #555; font-size: 13px } svg { max-width: 100%; height
 
 
 def grouped(value: float) -> str:
-    """A number, rounded to a whole one, with spaces between thousands."""
+    """Return a number as text, rounded to a whole one, with spaces between thousands."""
     return f"{value:,.0f}".replace(",", " ")
 
 
 def number(value: float, digits: int = 2) -> str:
-    """A short text; whole numbers with all their digits, nothing for what is not a number."""
+    """Return a number as short text; whole numbers with all their digits, "" for nan."""
     if abs(value) < 1e9 and value == round(value):
         return grouped(round(value))
     return "" if isnan(value) else f"{value:.{digits}g}" if 1e-3 <= abs(value) < 1e4 else f"{value:.{digits - 1}e}"
 
 
 def numbers_table(first: str, *titles: str) -> Table:
-    """A table for the screen, without lines; the first column holds names, the others numbers."""
+    """Return a table for the screen, without lines; the first column holds names, the others numbers."""
     columns = [Column(title, justify="right", no_wrap=True) for title in titles]
     return Table(Column(first, no_wrap=True), *columns, box=None, padding=(0, 2, 0, 0))
 
 
 def work_done(found: Experiment) -> list[str]:
-    """The kinds of work that any setting did."""
+    """Return the kinds of work that any setting did."""
     return [kind for kind in WORK_TITLES if any(row.work.get(kind) for row in found.rows)]
 
 
 def errors_table(found: Experiment) -> Table:
-    """The rows of an experiment; those on the Pareto front are bold.
+    """Return the table of an experiment; rows on the Pareto front are bold.
 
     Errors are followed by their orders where the experiment has any, seconds by half the distance of their quartiles.
     """
@@ -76,7 +76,7 @@ def errors_table(found: Experiment) -> Table:
 
 
 def tenfold(found: Experiment, curve: str) -> float:
-    """Factor in seconds for a tenth of the main error, along the part of a curve that converges; not a number without one."""
+    """Return the factor in seconds for a tenth of the main error, along the converging part of a curve; nan without one."""
     error = found.main_error
     falling: list[Row] = []
     for row in sorted(found.curve(curve), key=lambda r: r.seconds.median):
@@ -91,7 +91,7 @@ def tenfold(found: Experiment, curve: str) -> float:
 
 
 def tenfold_table(all_found: list[Experiment]) -> Table:
-    """What ten times more accuracy costs, for each curve that converges."""
+    """Return a table of what ten times more accuracy costs, for each curve that converges."""
     table = Table("problem", "setting", "a tenth of the error in", "time", title=TENFOLD, box=None)
     for found in all_found:
         for curve in found.curves:
@@ -110,7 +110,7 @@ def write_csv(path: Path, rows: list[dict[str, Any]]) -> Path:
 
 
 def csv_rows(found: Experiment) -> list[dict[str, Any]]:
-    """The rows of the CSV file of an experiment, one for each setting."""
+    """Return the rows of the CSV file of an experiment, one for each setting."""
     front, kinds = found.front(), work_done(found)
     return [
         {"setting": row.setting.curve, found.parameter: row.setting.parameter}
@@ -124,7 +124,7 @@ def csv_rows(found: Experiment) -> list[dict[str, Any]]:
 
 
 def as_json(found: Experiment) -> dict[str, Any]:
-    """An experiment for JSON: the errors are the same to the bit each time."""
+    """Return an experiment as JSON data; the errors are the same to the bit each time."""
     rows = [
         {"setting": row.setting.curve, "parameter": row.setting.parameter, "errors": row.errors}
         | {"seconds": [row.seconds.low, row.seconds.median, row.seconds.high], "work": row.work}
@@ -134,7 +134,7 @@ def as_json(found: Experiment) -> dict[str, Any]:
 
 
 def describe_machine(ranks: Communicator) -> dict[str, Any]:
-    """What was measured on, and when."""
+    """Return on which machine was measured, and when."""
     name, cpuinfo = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
     if cpuinfo.exists():
         models = (line.split(":")[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name"))
@@ -162,7 +162,7 @@ def write_report(folder: Path, title: str, all_found: list[Experiment], about: d
 
 
 def page(title: str, all_found: list[Experiment], figures: dict[str, str], about: dict[str, Any]) -> str:
-    """The whole page; `figures`: SVG by key of the experiment."""
+    """Return the whole page; `figures`: SVG by key of the experiment."""
     place = "{machine}, {cores} cores, {ranks} rank(s), {mpi}, {when}".format(**about)
     links = "".join(f'<li><a href="#{found.key}">{found.key}: {escape(found.title)}</a></li>\n' for found in all_found)
     parts = [f'<h1>{escape(title)}</h1>\n<p class="small">{escape(place)}</p>\n<p>{escape(METHOD.format(**about))}</p>']
@@ -187,7 +187,7 @@ def page(title: str, all_found: list[Experiment], figures: dict[str, str], about
 
 
 def table_html(table: Table) -> str:
-    """A table of the screen as a part of a page."""
+    """Return a table of the screen as a part of a page."""
     console = Console(record=True, file=io.StringIO(), width=LOG_WIDTH)
     console.print(table, crop=False)
     return console.export_html(inline_styles=True, code_format="<pre>{code}</pre>")

@@ -1,4 +1,4 @@
-"""Fair timing of simulations: warmed up, by turns, the slowest rank, medians and quartiles, output not on the clock.
+"""Fair timing of simulations: warmed up, settings in turn, on the slowest rank, with medians and quartiles, without output.
 
 A sample is as many consecutive steps as take SAMPLE_SECONDS. A run that has come to its end begins again, off the clock.
 Settings that are compared take turns, a sample each, so that a disturbance of the machine meets all of them.
@@ -53,7 +53,7 @@ class StepTimer:
     samples: list[float] = field(default_factory=list)
 
     def sample(self, sample_seconds: float) -> float:
-        """Seconds of a step on the slowest rank, measured over at least `sample_seconds`. Collective."""
+        """Return the seconds of a step on the slowest rank, measured over at least `sample_seconds`. Collective."""
         clocked, steps, units, stride = 0.0, 0, 0, 1
         while clocked < sample_seconds:
             if self.sim is None or not self.left:
@@ -69,7 +69,7 @@ class StepTimer:
         return clocked / units
 
     def clock(self, sim: Simulation, steps: int) -> float:
-        """Seconds that the slowest rank takes for these steps. Collective."""
+        """Return the seconds that the slowest rank takes for these steps. Collective."""
         self.ranks.barrier()
         begin = perf_counter()
         sim.steps(steps)
@@ -77,7 +77,7 @@ class StepTimer:
 
     @property
     def seconds(self) -> Seconds:
-        """Of one step, from all samples."""
+        """Return the seconds of one step, from all samples."""
         low, median, high = np.percentile(self.samples, (25, 50, 75))
         return Seconds(float(median), float(low), float(high))
 
@@ -85,7 +85,7 @@ class StepTimer:
 def time_in_turns(
     timers: Sequence[StepTimer], samples: int, sample_seconds: float, progress: Callable[[], None] = lambda: None
 ) -> None:
-    """Take `samples` samples of each timer by turns, after one that is not counted; calls `progress` after each. Collective."""
+    """Take `samples` samples of each timer in turn, after one that does not count; call `progress` after each. Collective."""
     gc.collect()
     gc.freeze()  # what is there need not be looked at again in each turn
     gc.disable()  # a collection within a sample would make that sample slower by chance

@@ -269,7 +269,7 @@ def test_a_heap_that_is_rained_upon_does_not_rattle():
     assert "collapsing crowds" in said[0]
     for height in (2.0, 2.2):
         sim.add({"position": [[0.25, 0.25, height]], "radius": 0.05})
-    assert sim.remarks() == ["contacts that last: 2 solutions ended above contact_tolerance", *said]  # once, whatever was changed
+    assert sim.remarks() == ["lasting contacts: 2 solutions ended above contact_tolerance", *said]  # once, whatever was changed
 
 
 def test_only_those_that_are_near_are_looked_at():

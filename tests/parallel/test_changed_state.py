@@ -216,18 +216,18 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
         ("sim.effects['wall'].active = False", KeyError, "the scene has no wall .did you mean 'walls'"),
         ("sim.scene.time.step = 0.5", AttributeError, r"set sim\.h"),
         ("sim.h = 0.0", ValueError, "above 0"),
-        ("sim.h = 'a'", ValueError, "h: 'a' is no length of a step"),
-        ("sim.time = None", ValueError, "time: None is no finite number"),
-        ("sim.dt = 0.1", AttributeError, r"sim\.dt: there is no such thing to be set; a script sets sim\.h"),
-        ("copy = sim.copy(); copy.mode = 'event'", AttributeError, r"sim\.mode: there is no such thing"),
+        ("sim.h = 'a'", ValueError, "h: 'a' is not a step length"),
+        ("sim.time = None", ValueError, "time: None is not a finite number"),
+        ("sim.dt = 0.1", AttributeError, r"sim\.dt: no such attribute; a script may set sim\.h"),
+        ("copy = sim.copy(); copy.mode = 'event'", AttributeError, r"sim\.mode: no such attribute"),
         ("sim.particles.position[1] = 1e3; sim.step()", StateError, r"step 1: particles\.position: particle 1 on rank 0 was put"),
         ("sim.run(steps=3)", TypeError, "run: steps: only with a folder"),
-        ("Simulation('x.toml')", TypeError, "'x.toml' is no Scene; there are Scene.load"),
-        ("sim.remove(sim.particles.mass > 2.5)", ValueError, r"integers; of a mask those are sim\.particles\.id\[mask\]"),
+        ("Simulation('x.toml')", TypeError, "'x.toml' is not a Scene; use Scene.load"),
+        ("sim.remove(sim.particles.mass > 2.5)", ValueError, r"integers; for a mask use sim\.particles\.id\[mask\]"),
         ("sim.remove([1.7])", ValueError, "takes ids, which are integers"),
-        ("sim.remove([-1, 10**9])", ValueError, r"remove: no particles -1 and 1000000000"),
+        ("sim.remove([-1, 10**9])", ValueError, r"remove: not found: particles -1 and 1000000000"),
         *(
-            (f"sim.attach({name!r}, sim.particles.mass)", ValueError, "must be a name of your own")
+            (f"sim.attach({name!r}, sim.particles.mass)", ValueError, "must be a new name, of letters")
             for name in ("a/b", "_mine", "")
         ),
     ],

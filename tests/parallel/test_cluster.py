@@ -67,7 +67,7 @@ def test_a_chain_of_jobs_has_the_bits_of_one_run(job, apart, tmp_path):
     (out / "checkpoint.h5").unlink()  # as if it had been killed before its first checkpoint
     begun = (out / "run.json").stat().st_mtime_ns
     done = program(2, other, "--output", out, "--resume", "auto")
-    assert done.returncode == 2 and "seed: not as in" in done.stderr and (out / "run.json").stat().st_mtime_ns == begun
+    assert done.returncode == 2 and "seed: differs from" in done.stderr and (out / "run.json").stat().st_mtime_ns == begun
 
     first = job("run", scene, "--output", out, "--resume", "auto", SLURM_NTASKS="2")
     while (out / "run.json").stat().st_mtime_ns == begun:  # until the run takes the folder
@@ -82,7 +82,7 @@ def test_a_chain_of_jobs_has_the_bits_of_one_run(job, apart, tmp_path):
 
     second = job("run", scene, "--output", out, "--resume", "auto", seconds_left=0, RANKS="3", SLURM_NTASKS="2")
     said, told = second.communicate(timeout=100)
-    assert second.returncode == 130 and f"goes on from step {step}" in said and f"stopped at step {step} " in told, told
+    assert second.returncode == 130 and f"continues from step {step}" in said and f"stopped at step {step} " in told, told
 
     third = job("run", scene, "--output", out, "--resume", "auto", "--quiet", SLURM_NTASKS="3")
     told = third.communicate(timeout=100)[1]

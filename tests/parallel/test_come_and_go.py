@@ -54,7 +54,7 @@ def test_what_cannot_be_is_refused_by_name(runs, ranks):
     assert "pair 7-58 overlaps" in said["overlap"] and said["overlap"].startswith("effects.collisions: ")
     assert said["outside"].startswith("box: particle 58 outside")
     assert said["key"].startswith("particles[2].radios: unknown key")
-    assert said["unknown"] == "remove: no particle 99"
+    assert said["unknown"] == "remove: not found: particle 99"
     assert "step 25: lost: 1 particle" in said["lost"]
 
 

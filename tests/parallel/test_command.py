@@ -96,7 +96,7 @@ def test_run_and_resume_give_the_same_bits_on_any_ranks(scene, tmp_path):
     assert all(row["calls"] > 0 for row in told["plan"]["effects"])
     done = particles_mpi(2, "run", scene, "--output", tmp_path / "more", "--resume", parts / "checkpoint.h5")
     steps = told["scene"]["time"]["steps"]
-    assert done.returncode == 0 and f"goes on from step {steps} of {steps}: nothing is left to do" in done.stdout
+    assert done.returncode == 0 and f"continues from step {steps} of {steps}: nothing is left to do" in done.stdout
 
 
 UNEVEN = """
@@ -191,7 +191,7 @@ def test_a_number_of_ranks_that_is_none_is_one_line(ranks):
     fail = re.search(r"^fail\(\).*$", (ROOT / "run.sh").read_text(), re.MULTILINE)[0]
     command = ["bash", "-euc", f"{fail}\n{launch}\nlaunch true"]
     done = subprocess.run(command, env=os.environ | {"RANKS": ranks}, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (1, f"run.sh: RANKS: '{ranks}' is no number of ranks\n")
+    assert (done.returncode, done.stderr) == (1, f"run.sh: RANKS: '{ranks}' is not a number of ranks\n")
 
 
 def test_a_folder_that_holds_a_run_is_refused(scene, tmp_path):
@@ -290,4 +290,5 @@ def test_a_collision_that_throws_too_far_in_a_narrow_box_ends_all_ranks(ranks, t
     """On one of two ranks, where candidates do not hold as long as on the other one: both must come to the same end."""
     (tmp_path / "narrow.py").write_text(NARROW)
     done = run_ranks(ranks, tmp_path / "narrow.py", timeout=60)
-    assert done.returncode == 0 and done.stdout.count("too far for a periodic box of 0.56") == ranks, done.stderr
+    said = "too far to tell particles from their images in a periodic box of 0.56"
+    assert done.returncode == 0 and done.stdout.count(said) == ranks, done.stderr

@@ -22,7 +22,7 @@ def test_the_bits_of_one_rank(tmp_path, ranks, only):
     outcomes = json.loads(file.read_text())
     assert len(outcomes) == 4 * len(only.split("|"))
     assert all(outcome["holds"] and outcome["same_bits"] for outcome in outcomes)
-    assert f"{len(outcomes)} of {len(outcomes)} hold, each with the bits of one rank on {ranks}" in done.stdout
+    assert f"{len(outcomes)} of {len(outcomes)} hold, each with the same bits on {ranks} ranks as on one" in done.stdout
 
 
 def test_a_case_that_fails_is_exit_code_3(monkeypatch, capsys):

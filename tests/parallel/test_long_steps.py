@@ -60,7 +60,7 @@ def interrupted(tmp_path_factory):
         while any(seconds_of(process) < begin + WELL_INTO for process, begin in zip(processes, begun, strict=True)):
             assert all(process.poll() is None for process in processes)
             sleep(0.02)
-        ends = (-signal.SIGINT, "KeyboardInterrupt"), (130, "particles-mpi: stopped within a step that takes long")
+        ends = (-signal.SIGINT, "KeyboardInterrupt"), (130, "particles-mpi: stopped in the middle of a long step")
         yield {what: (process, *end) for what, process, end in zip(("script", "command"), processes, ends, strict=True)}
     finally:
         for process in processes:

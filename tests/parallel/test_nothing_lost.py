@@ -279,11 +279,11 @@ def test_a_run_goes_on_in_its_own_folder_only(whole, tmp_path):
     for path, text in before.items():
         path.write_bytes(text)
     done = particles_mpi(2, "run", scene, "--resume", run / "checkpoint.h5", "--output", out)
-    assert done.returncode == 2 and "holds another run" in done.stderr and everything(out) == before, done.stderr
+    assert done.returncode == 2 and "holds a run other than the one" in done.stderr and everything(out) == before, done.stderr
     other.write_text(killing.SCENE.replace("restitution = 0.9", "restitution = 0.8"))
     done = particles_mpi(2, "run", other, "--resume", run / "checkpoint.h5", "--output", tmp_path / "new")
     assert done.returncode == 2 and not (tmp_path / "new").exists()
-    assert "effects.collisions.restitution: not as in" in done.stderr and "effects.walls.restitution" in done.stderr
+    assert "effects.collisions.restitution: differs from" in done.stderr and "effects.walls.restitution" in done.stderr
 
 
 def test_a_later_end_is_gone_on_to(whole, tmp_path):
@@ -342,8 +342,8 @@ def test_a_folder_that_cannot_be_written_is_one_line(whole, tmp_path, below):
         ("raise", "rewind", "ZeroDivisionError"),
         ("nan", "rewind", "on rank 1 has a position or velocity that is not finite"),
         ("nan", "event", "has a position or velocity that is not finite"),
-        ("given", "rewind", "on rank 1 was given nan, nan, which it cannot have"),
-        ("given", "event", "on rank 1 was given nan, nan, which it cannot have"),
+        ("given", "rewind", "on rank 1 was given nan, nan, which is not possible"),
+        ("given", "event", "on rank 1 was given nan, nan, which is not possible"),
     ],
 )
 def test_what_goes_wrong_on_one_rank_ends_all(tmp_path, fault, mode, says):
@@ -359,7 +359,7 @@ def test_damaged_files_are_refused_before_anything_is_touched(whole, tmp_path):
     for name, damage, says in (
         ("checkpoint.h5", lambda old: old[: len(old) // 2], "cut short"),
         ("trajectory.vtkhdf", lambda old: old[: len(old) // 2], "cannot be continued"),
-        ("diagnostics.csv", lambda old: old[: len(old) // 2], "it should hold step 400"),
+        ("diagnostics.csv", lambda old: old[: len(old) // 2], "it should end with step 400"),
     ):
         old = (out / name).read_bytes()
         (out / name).write_bytes(damage(old))
@@ -380,11 +380,11 @@ def test_a_file_that_was_deleted_is_told_of(tmp_path):
             (out / name).unlink()
         done = particles_mpi(2, "run", scene, "--output", out, "--resume", "auto", "--steps", step)
         told = [line.split(f"{out}/")[1] for line in done.stdout.splitlines() if line.startswith("  warning:")]
-        assert done.returncode == 0 and told == [f"{n} is not there: the new one begins after step {step - 4}" for n in names]
+        assert done.returncode == 0 and told == [f"{n} is missing: a new one begins after step {step - 4}" for n in names]
     frame = "vtk/particles_000022.vtu"
     (out / frame).unlink()
     done = particles_mpi(1, "run", scene, "--output", out, "--resume", "auto", "--steps", 28)
-    assert done.returncode == 0 and f"{out / frame} is not there: particles.pvd no longer names it" in done.stdout
+    assert done.returncode == 0 and f"{out / frame} is missing: particles.pvd no longer lists it" in done.stdout
     listed = (out / "particles.pvd").read_text()
     assert frame not in listed and "000024.vtu" in listed and "000028.vtu" in listed
 

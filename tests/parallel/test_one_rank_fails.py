@@ -118,7 +118,7 @@ def test_a_folder_that_machines_do_not_share(scene, tmp_path, formats):
     code, said = start(program, ["-c", APART, out, *program])
     assert code == 3 and said.count("\n") == 1, said
     assert said.startswith(f"particles-mpi: rank 1: cannot {'open' if formats == 'hdf5' else 'write'} {out}/o/"), said
-    assert said.endswith(": it is not there for this rank: all machines must share the folder\n"), said
+    assert said.endswith(": this rank does not find it: all machines must share the folder\n"), said
 
 
 def test_arguments_that_differ(scene, tmp_path):

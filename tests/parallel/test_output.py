@@ -169,7 +169,7 @@ def test_full_disk_stops_every_rank_and_names_file_and_step(tmp_path, ranks, opt
 def test_other_particles_are_not_appended(tmp_path):
     assert run_ranks(1, WRITER, tmp_path, 30, 3, 1).returncode == 0
     done = run_ranks(2, WRITER, tmp_path, 31, 3, 1, "--resume", 0)
-    assert done.stdout.count("holds other particles") == 2
+    assert done.stdout.count("differs from the run to be continued in the number of particles") == 2
 
 
 def test_checkpoint_that_is_none_is_one_clear_line(tmp_path):

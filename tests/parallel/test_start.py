@@ -17,17 +17,18 @@ FILES = {
 }
 SAID = {
     "a file that cannot be read": "oops.csv: line 71: ",
-    "a file with a number that is none": "nan.csv: lines 72, 73, 74, 75, 76 and 2 more not finite",
+    "a file with a number that is none": "nan.csv: lines 72, 73, 74, 75, 76 and 2 more: a number is not finite",
     "an empty file": "empty.csv holds no rows",
     "no file": "none.csv cannot be read (No such file",
     "overlaps": "effects.collisions: pairs 0-97, 1-98 and 2-99 overlap at the start",
     "outside": "box: particles 51, 52, 53, 54, 55 and 4 more outside",
-    "in walls": "effects.walls.planes[0]: particle 0 not fully inside the wall at (0, 0)",
+    "in walls": "effects.walls.planes[0]: particle 0 not fully on the free side of the wall at (0, 0)",
     "too fast": "time.step: particles ",
     "too many": "particles[0].position: random: ",
     "too wide": "particles[0].position: random: spheres of radius 0.6 do not fit into the box on axis 0",
-    "masses": "particles[0].mass: 0, but [effects.collisions] divides by it, for particles 0, 3, 6, 9, 12 and 5 more",
-    "warm and massless": "a temperature needs a mass: particles 0, 3, 6, 9, 12 and 5 more",
+    "masses": "particles[0].mass: [effects.collisions] divides by it, so it must be above 0 for"
+    " particles 0, 3, 6, 9, 12 and 5 more",
+    "warm and massless": "a temperature needs a mass for particles 0, 3, 6, 9, 12 and 5 more",
 }
 WARNED = {
     "pushed apart": "; pushed apart",

@@ -70,7 +70,7 @@ def test_ranks_without_a_core_are_marked(tmp_path):
 
 def test_listed_particles_have_no_weak_scaling(tmp_path):
     said = scaled(2, tmp_path, "listed")
-    assert "no weak scaling: particles[0].position: is listed, particle by particle" in said
+    assert "no weak scaling: particles[0].position: is a list, with a value for each particle" in said
     assert {row["curve"] for row in table(tmp_path / "scaling.csv")} == {"strong, N = 3"}
 
 
@@ -113,7 +113,7 @@ def test_counts(tmp_path):
     assert rows["strong", "2"] | {"curve": ""} == rows["weak", "2"] | {"curve": ""}  # the same setting, counted once
     assert {row["kind"] for row in table(tmp_path / "counts_model.csv")} == {"model"}
     assert "MODEL, extrapolated from 1 rank" in said and said.count("what ends the scaling (") == 2
-    assert "which columns are flat, is judged past 8 ranks" in said
+    assert "which columns are flat is judged only from 8 ranks on" in said
 
 
 def test_counts_in_mode_event(tmp_path):

@@ -91,7 +91,7 @@ def test_a_tree_is_refused_and_auto_is_the_direct_sum():
         stars = [{"count": 3000, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1e-3}]
         return Scene(dimension=3, time=time, effects={"mutual_gravity": gravity}, particles=stars)
 
-    with pytest.raises(SceneError, match=r"mutual_gravity\.method: forces of a tree jump"):
+    with pytest.raises(SceneError, match=r"mutual_gravity\.method: the forces of a tree jump"):
         cluster("tree")
     scene = cluster("auto")
     assert "tree" not in scene.effects["mutual_gravity"].described(scene, 3000).split(",")[0]
@@ -108,4 +108,4 @@ def test_a_long_step_with_a_force_of_the_users_ends_on_a_signal(tmp_path):
     sleep(0.3)
     run.send_signal(signal.SIGTERM)
     _, said = run.communicate(timeout=30)
-    assert run.returncode == 130 and said.endswith("stopped within a step that takes long: what counts is the last checkpoint\n")
+    assert run.returncode == 130 and said.endswith("stopped in the middle of a long step: continue from the last checkpoint\n")

@@ -391,7 +391,7 @@ def test_a_periodic_box_may_be_barely_longer_than_two_contact_distances():
         assert np.sqrt(apart @ apart) >= 0.48 * (1.0 - 1e-12)
     assert coarse.totals["collisions"] == fine.totals["collisions"] > 10
     assert np.abs(coarse.particles.position - fine.particles.position).max() < 1e-6
-    with pytest.raises(ValueError, match=r"two contact distances and a thousandth, 0\.96096"):
+    with pytest.raises(ValueError, match=r"1\.001 times two contact distances, 0\.96096"):
         Simulation(in_a_narrow_box(0.9605, 4))
 
 

@@ -134,7 +134,7 @@ def test_every_key_changes_the_run_or_is_refused(name):
         try:
             after = final(other)
         except SceneError as error:
-            named = (key, "effects.rolling.resistance: nothing rolls without friction")
+            named = (key, "effects.rolling.resistance: spheres roll only with friction")
             if not any(word in str(error) for word in named):
                 ignored.append((place, key, value, f"refused without its name: {error}"))
             continue

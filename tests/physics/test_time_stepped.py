@@ -212,7 +212,7 @@ def test_collisions_that_come_late_are_told(share, some):
     for _ in range(10):
         sim.step()
     assert sim.totals["collisions"] > 0 and sim.totals["missed"] == 0
-    assert any("came late" in remark for remark in sim.remarks()) == some
+    assert any("found late" in remark for remark in sim.remarks()) == some
 
 
 def test_spheres_that_brush_one_another_are_told():
@@ -224,7 +224,7 @@ def test_spheres_that_brush_one_another_are_told():
     apart, faster = x[1] - x[0], v[1] - v[0]
     assert apart @ apart < 0.998 and apart @ faster > 0.0
     assert sim.totals["collisions"] == 2
-    assert any("came late" in remark for remark in sim.remarks())
+    assert any("found late" in remark for remark in sim.remarks())
 
 
 @pytest.mark.parametrize("passes", range(1, 6))

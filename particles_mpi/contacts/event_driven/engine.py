@@ -172,11 +172,11 @@ class Engine:
     def standstill(self, time: float) -> str:
         """Return the message about events that follow one another without end."""
         (row, partner), state = self.work.stale[:2], self.rows.state
-        with_ = f"particle {state[partner, ID]}" if partner >= 0 else f"wall {-1 - partner}"
-        with_ = "nobody, but leaves its neighbourhood" if partner == LIST_EXPIRY else with_
+        last = f"meets particle {state[partner, ID]}" if partner >= 0 else f"meets wall {-1 - partner}"
+        last = "leaves its neighbourhood" if partner == LIST_EXPIRY else last
         return (
-            f"time stands still at t = {time:.9g}: events follow one another without end, the last one of particle"
-            f" {state[row, ID]} with {with_}"
+            f"time does not advance at t = {time:.9g}: events follow one another without end; in the last one particle"
+            f" {state[row, ID]} {last}"
         )
 
     def end_drift(self) -> int:

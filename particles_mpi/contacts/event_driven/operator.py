@@ -193,7 +193,7 @@ class EventDriven:
         """Return the remarks for the end of the run, one line each. Collective."""
         found = [ElasticContacts(*of_rank) for of_rank in self.ranks.allgather(tuple(self.tc_elastic))]
         count = sum(of_rank.number for of_rank in found)
-        said = f"collapsing crowds: in {self.crowded_steps} steps some contacts took all of the approach, as if e = 0"
+        said = f"collapsing crowds: in {self.crowded_steps} steps some contacts stopped the approach entirely, as if e = 0"
         crowds = [said] if self.crowded_steps else []
         if not count:
             return crowds
@@ -208,6 +208,6 @@ class EventDriven:
         where = f"particles {', '.join(ids)}" + (f" and wall {', '.join(walls)}" if walls else "")
         return [
             *crowds,
-            f"inelastic collapse: {count} contacts took no energy, because others were so shortly before, "
+            f"inelastic collapse: {count} contacts took no energy, because they came too soon after others, "
             f"the first in the step from t = {moment:g} among {where}",
         ]

@@ -71,16 +71,16 @@ class Signs:
         """Return the remarks for the end of the run; `exact`: returns the operator that did the dense steps. Collective."""
         remarks = []
         if self.dense_steps:
-            dense = f"{self.dense_steps} steps had more contacts than passes put in order: those were done in order of time"
+            dense = f"{self.dense_steps} steps had more contacts than passes could put in order: they were done in order of time"
             remarks += [dense, *exact().remarks()]
         late, found, too_fast = self.near.ranks.total(self.late_collisions, self.collisions, self.too_fast)
         if too_fast:
             remarks.append(
-                "spheres crossed more than their diameter in a step, and may have met in a wrong order: shorten time.step"
+                "spheres crossed more than their diameter in a step, and may have collided in a wrong order: shorten time.step"
             )
         if late:
             remarks.append(
-                f"collisions that came late, when spheres overlapped: {late} of {found}; "
-                "shorter steps have fewer, mode event none"
+                f"collisions found late, when spheres overlapped: {late} of {found}; "
+                "shorter steps have fewer, mode event has none"
             )
         return remarks

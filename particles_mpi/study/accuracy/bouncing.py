@@ -33,7 +33,7 @@ REFERENCE_STEP = 0.01  # step of the reference
 
 @dataclass
 class Bounces:
-    """Problems, a row each: body 0 is the ball, body 1 its partner, or what attracts it; x, v (n, 2, d), w = 1/m (n, 2).
+    """Many problems, one a row: body 0 is the ball, body 1 its partner or what attracts it; x, v (n, 2, d), w = 1/m (n, 2).
 
     a (n, 2, d): constant accelerations; pull (n, 2): G m of what attracts each body; k (n,): rate of drag; alpha (n,): force
     of friction; normal (n, d): of the plane through the origin, or 0 where the obstacle is the partner.
@@ -61,7 +61,7 @@ class Bounces:
         return np.asarray(a * (self.w > 0.0)[:, :, None])
 
     def after(self, h: Array) -> tuple[Array, Array]:
-        """(x, v) a time h (n,) later, if nothing is in the way."""
+        """Return (x, v) after a time h (n,), if nothing is in the way."""
         x, v, h = self.x, self.v, h[:, None, None]
         v1, a1 = v, self.rate(x, v)
         v2, a2 = v + 0.5 * h * a1, self.rate(x + 0.5 * h * v1, v + 0.5 * h * a1)
@@ -70,7 +70,7 @@ class Bounces:
         return x + h / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4), v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
 
     def gap(self, x: Array, v: Array) -> tuple[Array, Array, Array]:
-        """(distance to the obstacle, how fast it grows, normal (n, d))."""
+        """Return (distance to the obstacle, its rate of change, normal (n, d))."""
         wall = (self.normal != 0.0).any(axis=1)
         r, u = x[:, 0] - x[:, 1], v[:, 0] - v[:, 1]
         distance = np.sqrt((r**2).sum(axis=1))
@@ -79,7 +79,7 @@ class Bounces:
         return gap, np.where(wall, (v[:, 0] * n).sum(axis=1), (u * n).sum(axis=1)), n
 
     def advance(self, time: Array) -> None:
-        """All rows by `time` (n,), through their contacts."""
+        """Advance all rows by `time` (n,), through their contacts."""
         left = time.copy()
         e, keep = loss(self.loss.get("restitution"), self.loss.get("damping"))
         w = np.where((self.normal != 0.0).any(axis=1)[:, None], [1.0, 0.0], self.w)
@@ -133,7 +133,7 @@ def bounces(d: int, force: str, lost: str, cases: Cases, h: float) -> Bounces:
 
 
 def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, Any], Array]:
-    """The problems side by side, as the tables of a scene, and how far each was moved, (n, d). All have friction, or none has."""
+    """Return the problems side by side as tables of a scene, and the shift of each (n, d). All have friction, or none has."""
     d, attracted, wall = start.x.shape[2], force.startswith("mutual"), (start.normal != 0.0).any(axis=1)
     shift = np.zeros_like(start.x[:, 0])  # away from the foot of the slope, which rises to the left
     far = (1e6 if attracted else 100.0) * np.arange(1, len(shift) + 1)
@@ -159,6 +159,6 @@ def scene(force: str, mode: str, h: float, start: Bounces) -> tuple[dict[str, An
 
 
 def mean_errors(sim: Simulation, shift: Array, end: Bounces) -> Array:
-    """Of each case, the distance of the ball from its true place at the `end`, mean over the phases. Collective."""
+    """Return for each case the mean distance over the phases of the ball from its true position at the `end`. Collective."""
     x = all_particles(sim).position[: len(shift)] - shift
     return np.asarray(np.sqrt(((x - end.x[:, 0]) ** 2).sum(axis=1)).reshape(-1, PHASES).mean(axis=1))

@@ -26,13 +26,13 @@ EXPERIMENTS: dict[str, tuple[bool, tuple[Callable[[Benchmark], list[Experiment]]
 
 
 def measure_letter(key: str, benchmark: Benchmark) -> list[Experiment]:
-    """Measure the experiments of one letter. Collective; those of a few bodies are known to rank 0 only, others get none."""
+    """Measure the experiments of one letter. Collective; those with few bodies are returned on rank 0 only, [] elsewhere."""
     few_bodies, parts = EXPERIMENTS[key]
     return benchmark.on_few(few_bodies, lambda few: [found for part in parts for found in part(few)]) or []
 
 
 def built_in(keys: str, benchmark: Benchmark) -> Iterator[Experiment]:
-    """The experiments of these letters. Collective."""
+    """Yield the experiments of these letters. Collective."""
     for key in (key for key in EXPERIMENTS if key in keys):
         since = perf_counter()
         yield from measure_letter(key, benchmark)
@@ -40,7 +40,7 @@ def built_in(keys: str, benchmark: Benchmark) -> Iterator[Experiment]:
 
 
 def study_accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) -> None:
-    """The built-in experiments of the letters `keys` (all if empty), or those of a scene. Collective."""
+    """Run the built-in experiments of the letters `keys` (all if empty), or those of a scene. Collective."""
     begin, keys = perf_counter(), keys.upper() or "".join(EXPERIMENTS)
     if unknown := [key for key in keys if key not in EXPERIMENTS]:
         raise SceneError(f"--only: there is no experiment {', '.join(unknown)}; there are {', '.join(EXPERIMENTS)}")
@@ -61,4 +61,4 @@ def study_accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) ->
             timing = {"samples": benchmark.samples, "least_seconds": benchmark.sample_seconds, "seconds": seconds}
             path = report.write_report(folder, title, found, report.describe_machine(ranks) | timing)
             screen.table(report.tenfold_table(found))
-            screen.say(f"{seconds:.0f} s; all of it, with pictures: {path}   (CSV: {folder}/*.csv)")
+            screen.say(f"{seconds:.0f} s; the whole report, with pictures: {path}   (CSV: {folder}/*.csv)")

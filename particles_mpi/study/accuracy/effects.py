@@ -1,4 +1,4 @@
-"""H: effects on and off. What each costs, that an absent one costs nothing, and that one without strength changes no bit."""
+"""H: effects on and off: the cost of each; an absent one costs nothing, and one with strength 0 changes no bit."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -16,7 +16,7 @@ N, QUICK_N, STEP, STEPS = 100_000, 20_000, 1e-3, 1000
 BITS_N, BITS_STEPS = 300, 40  # particles and steps for the comparison of bits
 COMPARISONS, QUICK_COMPARISONS = 41, 11  # samples by turns, to see a per cent, or a few
 COMPARISON_SECONDS = 0.02  # of a sample
-REFERENCE = "itself: the same scene without the effect, the same step without what is about other effects"
+REFERENCE = "the program itself: the same scene without the effect; the same step without any code for other effects"
 ACTIVE: dict[str, dict[str, Any]] = {  # each alone, or with what it needs
     "uniform_gravity": {"acceleration": [0.0, 0.0, -9.81]},
     "user_acceleration": {},
@@ -36,12 +36,12 @@ INERT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # effects, and what
 ERRORS = {
     "calls": "calls of all effects that the scene does not name, over the whole run",
     "messages": "messages between ranks in the steps",
-    "bits": "numbers that differ when the effect is named with a coefficient of 0, of a run without it",
+    "bits": "numbers that differ between a run that names the effect with a coefficient of 0 and a run without it",
 }
 
 
 def gas(n: int, effects: dict[str, Any], radius: float = 0.0, step: float = STEP, **more: Any) -> dict[str, Any]:
-    """Particles all over a box."""
+    """Return the tables of a scene with particles all over a box."""
     side = 4.0 * (n / 32000) ** (1 / 3)  # the density of the headline
     spheres = {"count": n, "position": "random", "velocity": {"speed": 0.5}, "radius": radius, "mass": 0.3, **more}
     box, time = {"lower": [0.0] * 3, "upper": [side] * 3}, {"step": step, "steps": STEPS}
@@ -49,13 +49,13 @@ def gas(n: int, effects: dict[str, Any], radius: float = 0.0, step: float = STEP
 
 
 class Stripped:
-    """A simulation under a uniform acceleration whose step knows of no other effect: taken out of the program by hand."""
+    """A simulation under a uniform acceleration with a step that has no code for other effects, written by hand."""
 
     def __init__(self, sim: Simulation):
         self.sim = sim
 
     def steps(self, number: int) -> None:
-        """So many times kick, drift, kick, with the same stop watches."""
+        """Do kick, drift, kick `number` times, with the same timers as the program."""
         sim, p, h = self.sim, self.sim.rows, self.sim.h
         for drifts in number * (True, False):
             with sim.timers("forces"):
@@ -69,7 +69,7 @@ class Stripped:
 
 
 def bits_that_differ(benchmark: Benchmark, name: str) -> int:
-    """Number of coordinates that differ between a run without the effect and one where it is named without strength."""
+    """Count the coordinates that differ between a run without the effect and one that names it with strength 0."""
     options, more = INERT[name]
     falling = {other: ACTIVE[other] for other in ("walls", "uniform_gravity") if other != name}
     ends = []
@@ -82,7 +82,7 @@ def bits_that_differ(benchmark: Benchmark, name: str) -> int:
 
 
 def errors(benchmark: Benchmark, name: str, sim: Simulation) -> Errors:
-    """Calls of absent effects and messages in some steps, and bits that differ where the effect has no strength. Collective."""
+    """Count calls of absent effects, messages in some steps, and numbers that differ with an effect of strength 0. Collective."""
     sim.step()
     messages = sim.ranks.messages
     sim.steps(10)
@@ -93,7 +93,7 @@ def errors(benchmark: Benchmark, name: str, sim: Simulation) -> Errors:
 
 
 def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
-    """A gas without effects, with each effect alone, and with all of them."""
+    """Yield a gas without effects, with each effect alone, and with all of them."""
     own = "user_acceleration"  # forces that are not the same everywhere make every pair one that may rest
     named: dict[str, dict[str, Any]] = {"nothing": {}} | {name: {name: options} for name, options in ACTIVE.items()}
     named[f"all but {own}"] = {name: options for name, options in ACTIVE.items() if name != own}
@@ -104,14 +104,14 @@ def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
 
 
 def absence(benchmark: Benchmark, n: int) -> tuple[float, float, float]:
-    """(first quartile, median, third quartile) of the share of a step that is spent on effects that are absent.
+    """Return (first quartile, median, third quartile) of the share of a step that is spent on absent effects.
 
-    Samples of the program alternate with samples of `Stripped`, which has nothing of them; the share is 1 - stripped/whole.
+    Samples of the program alternate with samples of `Stripped`, which has no code for them; the share is 1 - stripped/whole.
     """
     start = benchmark.simulate(gas(n * benchmark.ranks.size, {"uniform_gravity": ACTIVE["uniform_gravity"]}))
 
     def one_by_one() -> Simulation:
-        """The simulation, by single steps: a loop of many would be compared with another program."""
+        """Return the simulation in single steps, because `Stripped` has no loop over many steps to compare with."""
         sim = start.copy()
         sim.many_steps = None
         return sim
@@ -124,7 +124,7 @@ def absence(benchmark: Benchmark, n: int) -> tuple[float, float, float]:
 
 
 def experiments(benchmark: Benchmark) -> list[Experiment]:
-    """H: what each effect costs, and what absent ones cost. Collective."""
+    """Measure H: what each effect costs, and what absent ones cost. Collective."""
     n = QUICK_N if benchmark.quick else N
     found = benchmark.compare("H", "Effects on and off, a step", settings(benchmark, n), ERRORS, REFERENCE, "particles")
     low, middle, high = absence(benchmark, n)
@@ -132,10 +132,10 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
     absent, differ = (sum(row.errors[name] for row in found.rows) for name in ("calls", "bits"))
     found.answers = [
         f"nanoseconds a particle-step: {each}",
-        f"effects not named: {absent:.0f} calls; what is about them takes {middle:.1%} of a step of uniform_gravity (quartiles "
+        f"effects not named: {absent:.0f} calls; code for them takes {middle:.1%} of a step of uniform_gravity (quartiles "
         f"{low:.1%} to {high:.1%})",
-        "all of these cost more than their sum: where forces differ from place to place any two spheres may press one another,"
-        " and contacts that last are looked for among all that are near",
-        f"effects named without strength: {differ:.0f} of all numbers differ from a run without them",
+        "all of these cost more than their sum: where forces differ between positions, any two spheres may press one another,"
+        " and lasting contacts are searched among all near pairs",
+        f"effects named with strength 0: {differ:.0f} of all numbers differ from a run without them",
     ]
     return [found]

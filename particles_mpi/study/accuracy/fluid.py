@@ -1,7 +1,7 @@
 """C: the hard-sphere fluid. Collision mode, step and passes against error in the pressure and in the rate of collisions.
 
-Trajectories are chaotic and never compared. The fluid is: its compressibility factor Z = p V/(N T) is known within some 1e-4,
-and with it the rate of collisions (Enskog: Gamma = (Z - 1) 6/sigma sqrt(T/(pi m)) in three dimensions).
+Trajectories are chaotic and are never compared; the fluid as a whole is: its compressibility factor Z = p V/(N T) is known within
+some 1e-4, and with it the rate of collisions (Enskog: Gamma = (Z - 1) 6/sigma sqrt(T/(pi m)) in three dimensions).
 """
 
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ PASSES = (10, 3, 1)
 FASTEST_SPEED = 4.8  # thermal speeds: rewind allows steps of one diameter
 KLM = (4.0, 6.0, 2.3647684, -0.8698551, 1.1062803, -1.095049, 0.637614, -0.2279397, 0.1098948, -0.00906797)
 NOISE_FLOOR = 2e-3  # noise of RUN_COLLISIONS collisions of N spheres, one standard deviation or two
-REFERENCE = "Kolafa, Labik and Malijevsky (2004): Z within 5e-4; event, which has no error of the step, beside it"
+REFERENCE = "Kolafa, Labik and Malijevsky (2004): Z within 5e-4; and mode event, which has no error of the step"
 ERRORS = {
     "collision rate": "|Gamma/Gamma_exact - 1|, collisions of a sphere in unit time",
     "Z - 1": "|(Z - 1)/(Z_exact - 1) - 1|, Z by the virial",
@@ -32,18 +32,18 @@ ERRORS = {
 
 
 def compressibility(packing: float) -> float:
-    """Z of the hard-sphere fluid: J. Kolafa, S. Labik, A. Malijevsky, Phys. Chem. Chem. Phys. 6, 2335 (2004)."""
+    """Return Z of the hard-sphere fluid: J. Kolafa, S. Labik, A. Malijevsky, Phys. Chem. Chem. Phys. 6, 2335 (2004)."""
     x = packing / (1.0 - packing)
     return 1.0 + sum(c * x ** (k + 1) for k, c in enumerate(KLM))
 
 
 def collision_rate(packing: float, temperature: float = 1.0) -> float:
-    """Collisions of a sphere in unit time, for diameter and mass 1."""
+    """Return the collisions of a sphere per unit time, for diameter and mass 1."""
     return 6.0 * (compressibility(packing) - 1.0) * sqrt(temperature / pi)
 
 
 def fluid(packing: float, n: int, step: float, steps: int, spheres: dict[str, Any], **collisions: Any) -> dict[str, Any]:
-    """A periodic box of spheres of diameter and mass 1."""
+    """Return the tables of a periodic box of spheres with diameter and mass 1."""
     side = (n * pi / 6.0 / packing) ** (1.0 / 3.0)
     box, time = {"lower": [0.0] * 3, "upper": [side] * 3, "periodic": True}, {"step": step, "steps": steps}
     effects = {"collisions": {"allow_overlap": True, **collisions}}  # round-off, where two have just met
@@ -53,14 +53,14 @@ def fluid(packing: float, n: int, step: float, steps: int, spheres: dict[str, An
 
 
 def melted(benchmark: Benchmark, packing: float, n: int) -> dict[str, Any]:
-    """Places and velocities of a fluid in equilibrium."""
+    """Return positions and velocities of a fluid in equilibrium."""
     crystal = {"count": n, "position": "lattice", "velocity": {"temperature": 1.0}}
     scene = fluid(packing, n, MELTING_COLLISIONS / collision_rate(packing) / 4.0, 4, crystal, mode="event")
     return benchmark.at_end(scene, "position", "velocity")
 
 
 def errors(packing: float, sim: Simulation) -> Errors:
-    """Rate and pressure of the whole run."""
+    """Return the errors in rate and pressure over the whole run."""
     rates, virials, steps = [], [], sim.scene.steps
     sim.measure()
     for k in range(PARTS):
@@ -73,7 +73,7 @@ def errors(packing: float, sim: Simulation) -> Errors:
 
 
 def settings(benchmark: Benchmark, packing: float) -> Iterator[Setting]:
-    """`event` with long steps, `rewind` over steps and passes."""
+    """Yield `event` with long steps, and `rewind` with several steps and numbers of passes."""
     n, path = (QUICK_N, 0.2 * RUN_COLLISIONS) if benchmark.quick else (N, RUN_COLLISIONS)
     rate, spheres = collision_rate(packing), melted(benchmark, packing, n)
 
@@ -89,7 +89,7 @@ def settings(benchmark: Benchmark, packing: float) -> Iterator[Setting]:
 
 
 def experiments(benchmark: Benchmark) -> list[Experiment]:
-    """C, an experiment for each packing, and what event costs there against the fastest rewind that is as good. Collective."""
+    """Measure C for each packing, and compare the time of event with that of the fastest rewind that is as good. Collective."""
     all_found = []
     for key in ["C2"] if benchmark.quick else PACKINGS:
         packing = PACKINGS[key]
@@ -102,7 +102,7 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
             f"packing {packing:g}: event is exact and takes {seconds:.2g} s; the fastest rewind whose error in the rate is "
             f"hidden by noise: {best.setting.curve} at Gamma dt = {best.setting.parameter:g}, {best.seconds.median:.2g} s"
             if best
-            else f"packing {packing:g}: no setting of rewind is as right as event, {seconds:.2g} s"
+            else f"packing {packing:g}: no setting of rewind is as accurate as event, which takes {seconds:.2g} s"
         )
         all_found.append(found)
     return all_found

@@ -1,6 +1,5 @@
-"""G: drag and friction. Leapfrog, which advances them exactly, against PBPhys's explicit rule, and where a long step leads.
-
-And bounces: their order under every force, on every obstacle, with every loss.
+"""G: drag and friction. Compares leapfrog, which advances them exactly, with PBPhys's explicit rule, also at long steps; and
+measures the order of bounces under every force, on every obstacle, with every loss.
 """
 
 from itertools import product
@@ -21,18 +20,18 @@ STEPS, QUICK_STEPS = (2, 4, 16, 64, 256), (8, 16, 32, 64)
 REPEATS = 200  # particles alike, so that a run is no mere overhead
 STIFF_DRAG = 20.0 / DURATION  # rate of the stiff drag
 BOUNCE_STEPS = (0.01, 0.005, 0.0025, 0.00125)  # steps
-ERRORS = {"place": f"distance from the true place at t = {DURATION:g}", "velocity": "the same of the velocity"}
+ERRORS = {"place": f"distance from the true position at t = {DURATION:g}", "velocity": "the same of the velocity"}
 
 
 def thrown(drag: float, t: float = DURATION) -> tuple[Array, Array]:
-    """Place and velocity under gravity and linear drag: dv/dt = g - k v."""
+    """Return position and velocity under gravity and linear drag: dv/dt = g - k v."""
     g, v0 = np.array([0.0, -G]), np.array(THROW)
     decay = exp(-drag * t)
     return g / drag * t + (v0 - g / drag) * (1.0 - decay) / drag, g / drag + (v0 - g / drag) * decay
 
 
 def sliding(t: float = DURATION) -> tuple[Array, Array]:
-    """The same under friction of the weight, alpha = m g, thrown sideways: a Runge-Kutta method of order 8 at 1e-13."""
+    """Return the same for a sideways throw under friction alpha = m g, by a Runge-Kutta method of order 8 at 1e-13."""
 
     def rate(_: float, state: Array) -> Array:
         v = state[2:]
@@ -46,7 +45,7 @@ def throw(
     benchmark: Benchmark, key: str, title: str, velocity: tuple[float, float], loss: dict[str, Any], true: tuple[Array, Array],
     reference: str = "exact: x(t) of linear drag", integrators: tuple[str, ...] = ("leapfrog", "taylor"),
 ) -> Experiment:  # fmt: skip
-    """Particles thrown in a plane under gravity and a loss: each integrator over a range of steps, and the orders seen."""
+    """Throw particles in a plane under gravity and a loss, with each integrator over a range of steps; find the orders."""
 
     def errors(sim: Simulation) -> Errors:
         sim.run()
@@ -69,9 +68,9 @@ def throw(
 
 
 def throws(benchmark: Benchmark) -> list[Experiment]:
-    """G1 to G3: with drag that slows down over many steps, that stops within one (k h = 10 in the longest), and with friction.
+    """Measure G1 to G3: with drag that acts over many steps, drag that acts within one (k h = 10 in the longest), and friction.
 
-    Friction is as strong as the weight: what is thrown sideways falls at half the speed in the end.
+    Friction is as strong as the weight: a particle thrown sideways falls at half its speed in the end.
     """
     stiff_title, order_8 = f"Stiff drag, k = {STIFF_DRAG:g}", "Runge-Kutta of order 8 (DOP853) at 1e-13"
     weak = throw(benchmark, "G1", "Throw with drag", THROW, {"drag": {"rate": DRAG}}, thrown(DRAG))
@@ -79,7 +78,7 @@ def throws(benchmark: Benchmark) -> list[Experiment]:
     sideways, friction = (THROW[0], 0.0), {"friction": {"strength": G}}
     rubbed = throw(benchmark, "G3", "Throw with friction", sideways, friction, sliding(), order_8, ("leapfrog",))
     most = max(row.errors["velocity"] for row in weak.curve("leapfrog"))
-    weak.answers.append(f"leapfrog has the velocity right at any step: error <= {most:.0e}")
+    weak.answers.append(f"leapfrog has the right velocity with any step: error <= {most:.0e}")
     exact, explicit = (stiff.curve(name)[0] for name in ("leapfrog", "taylor"))
     stiff.answers.append(
         f"at k h = {STIFF_DRAG * explicit.setting.parameter:.3g} taylor is wrong by {explicit.errors['velocity']:.1g} in "
@@ -89,7 +88,7 @@ def throws(benchmark: Benchmark) -> list[Experiment]:
 
 
 def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, ...], h: float) -> Setting:
-    """Balls that bounce for a second, on all obstacles."""
+    """Return the setting of balls that bounce for a second on all obstacles."""
     cases = tuple(product(OBSTACLES, resistances))
     tables, shift = scene(force, "rewind", h, bounces(2, force, loss, cases, h))
 
@@ -105,10 +104,12 @@ def bounce(benchmark: Benchmark, force: str, loss: str, resistances: tuple[str, 
 
 
 def bouncing(benchmark: Benchmark) -> list[Experiment]:
-    """G4: contacts at any moment of a step. Collective."""
+    """Measure G4: contacts at any moment of a step. Collective."""
     steps, forces = (BOUNCE_STEPS[:2], FORCES[:3]) if benchmark.quick else (BOUNCE_STEPS, FORCES)
     tried = [bounce(benchmark, *with_) for with_ in product(forces, LOSSES, (("none", "drag"), ("friction",)), steps)]
-    errors = {name: f"distance from the true place after a second, mean over the phases of a step: {name}" for name in OBSTACLES}
+    errors = {
+        name: f"distance from the true position after a second, mean over the phases of a step: {name}" for name in OBSTACLES
+    }
     reference = "Runge-Kutta of order 4 from contact to contact"
     found = benchmark.compare("G4", "Bounces", tried, errors, reference, slopes=(2.0,), floor=1e-9)
     orders = [slope(found.curve(curve), name) for curve in found.curves for name in OBSTACLES]

@@ -1,4 +1,4 @@
-"""A and B: orbits. Step or tolerance against errors in energy and place, by each integrator: regular, and close encounters."""
+"""A and B: regular orbits and close encounters: step or tolerance against errors in energy and position, by each integrator."""
 
 from collections.abc import Callable, Iterator
 from math import cos, pi, sin, sqrt
@@ -12,7 +12,10 @@ from particles_mpi.study.experiment import ENDLESS_STEPS, Benchmark, Errors, Exp
 
 E, ORBITS = 0.5, 100
 ENERGY_SAMPLES = 2000  # moments of a run at which the energy is measured
-ERRORS = {"energy": "largest |dE/E| of the run", "place": "distance at the end from the true place, over the size of the orbit"}
+ERRORS = {
+    "energy": "largest |dE/E| of the run",
+    "place": "distance at the end from the true position, over the size of the orbit",
+}
 PLANET = {  # at the pericentre, without mass; and a sun
     "position": [[1.0 - E, 0.0], [0.0, 0.0]],
     "velocity": [[0.0, sqrt((1 + E) / (1 - E))], [0.0, 0.0]],
@@ -53,14 +56,14 @@ def gravity(
     population: dict[str, Any], step: float, steps: int, integrator: str = "leapfrog", tolerance: float | None = None,
     dimension: int = 2, **options: Any,
 ) -> dict[str, Any]:  # fmt: skip
-    """A scene of bodies that attract one another, with G = 1; `options`: of mutual gravity."""
+    """Return the tables of a scene with bodies that attract one another, with G = 1; `options`: of mutual gravity."""
     time = {"step": step, "steps": steps, "integrator": integrator} | ({"tolerance": tolerance} if tolerance else {})
     effects = {"mutual_gravity": options}
     return {"dimension": dimension, "G": 1.0, "time": time, "effects": effects, "particles": [population]}
 
 
 def plummer_sphere(n: int, step: float, **options: Any) -> dict[str, Any]:
-    """Plummer's sphere of n particles, of mass and scale length 1, in equilibrium; one step."""
+    """Return the tables of a Plummer sphere of n particles, with mass and scale length 1, in equilibrium; one step."""
     stars = {"count": n, "position": {"plummer": 1.0}, "velocity": "equilibrium", "mass": 1.0 / n}
     return gravity(stars, step, 1, dimension=3, **options)
 
@@ -68,9 +71,9 @@ def plummer_sphere(n: int, step: float, **options: Any) -> dict[str, Any]:
 def settings(
     benchmark: Benchmark, bodies: dict[str, Any], ladder: Ladder, period: float, periods: int, frames: int, errors: Any
 ) -> Iterator[Setting]:
-    """Each integrator over its ladder; `frames`: steps of `adaptive` in a period, between which it chooses its own.
+    """Yield each integrator over its ladder of steps or tolerances. `frames`: output steps of `adaptive` in a period.
 
-    Where steps go on as they began they are timed in runs without an end: a few hundred are over before a call from Python is.
+    Steps of constant cost are timed in runs without an end, because a few hundred take less time than a call from Python.
     """
     for integrator, resolutions in ladder.items():
         for resolution in resolutions:
@@ -85,7 +88,7 @@ def settings(
 
 
 def worst_energy(sim: Simulation, energy: Callable[[Simulation], float]) -> float:
-    """Run to the end; the largest relative error of the energy on the way."""
+    """Run to the end, and return the largest relative error of the energy on the way."""
     start, worst, every = energy(sim), 0.0, max(1, sim.scene.steps // ENERGY_SAMPLES)
     for _ in range(sim.scene.steps // every):
         sim.steps(every)
@@ -95,7 +98,7 @@ def worst_energy(sim: Simulation, energy: Callable[[Simulation], float]) -> floa
 
 
 def energy_of_planet(sim: Simulation) -> float:
-    """Energy of a unit of mass of the planet. Collective."""
+    """Return the energy per unit mass of the planet. Collective."""
     p = all_particles(sim)
     return 0.5 * float((p.velocity[0] ** 2).sum()) - 1.0 / distance(p.position[0], p.position[1])
 
@@ -109,9 +112,9 @@ def place_on_ellipse(t: float, e: float = E) -> Array:
 
 
 def regular_orbits(benchmark: Benchmark) -> list[Experiment]:
-    """A, with the orders that are seen between the two shortest steps that round-off does not spoil.
+    """Measure A, with the orders between the two shortest steps that round-off does not spoil.
 
-    A planet without mass on an ellipse about a sun that stands still, and three equal masses on an eight for one period.
+    A massless planet moves on an ellipse around a fixed sun, and three equal masses on a figure eight for one period.
     """
     orbits = 3 if benchmark.quick else ORBITS
 
@@ -125,7 +128,7 @@ def regular_orbits(benchmark: Benchmark) -> list[Experiment]:
 
     kepler = settings(benchmark, PLANET, REGULAR_LADDER[benchmark.quick], 2.0 * pi, orbits, 2, of_planet)
     eight = settings(benchmark, EIGHT, REGULAR_LADDER[benchmark.quick], PERIOD, 1, 2, of_eight)
-    exact = "exact: after one period all are where they were (figures of Chenciner and Montgomery 2000)"
+    exact = "exact: after one period all bodies are back at their start (figures of Chenciner and Montgomery 2000)"
     problems = (
         ("A1", f"Kepler, e = 0.5, {orbits} orbits", kepler, ERRORS, "exact: Kepler's equation"),
         ("A2", "Figure eight, one period", eight, ERRORS, exact),
@@ -141,7 +144,7 @@ def regular_orbits(benchmark: Benchmark) -> list[Experiment]:
 
 
 def close_encounters(benchmark: Benchmark) -> list[Experiment]:
-    """B: the Pythagorean problem, masses of 3, 4 and 5 that fall from rest, by fixed steps and by steps that follow forces."""
+    """Measure B: the Pythagorean problem, masses 3, 4 and 5 that fall from rest, by fixed steps and by adaptive ones."""
 
     def errors(sim: Simulation) -> Errors:
         start, found = sim.measure()["total_energy"], {}
@@ -151,7 +154,7 @@ def close_encounters(benchmark: Benchmark) -> list[Experiment]:
         return found | {"energy": abs(sim.measure()["total_energy"] / start - 1.0)}
 
     tried = settings(benchmark, PYTHAGOREAN, CLOSE_LADDER[benchmark.quick], LAST_MOMENT, 1, 200, errors)
-    title, reference = "Pythagorean problem, t = 20", "published: twelve digits of two places"
+    title, reference = "Pythagorean problem, t = 20", "published: twelve digits of two positions"
     found = benchmark.compare("B", title, tried, ENCOUNTER_ERRORS, reference, floor=1e-12, **PLOT)
     fixed = [row for row in found.rows if row.setting.curve != "adaptive"]
     best, chosen = (min(some, key=lambda r: r.errors[LATE_PLACE]) for some in (fixed, found.curve("adaptive")))

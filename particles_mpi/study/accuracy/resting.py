@@ -1,4 +1,4 @@
-"""I: contacts that last. What the tolerance of their solution costs in a bed of spheres, and what it changes."""
+"""I: lasting contacts: what the tolerance of their solution costs in a bed of spheres, and what it changes."""
 
 from typing import Any
 
@@ -14,9 +14,9 @@ N, QUICK_N, STEP, SETTLING_STEPS = 2000, 600, 0.005, 400  # spheres; steps in wh
 STEPS, QUICK_STEPS = 400, 60  # that are measured
 R, G, LAYERS = 0.05, 9.81, 8.0
 ERRORS = {
-    "height": "how much higher or lower the mean sphere lies in the end, in radii",
-    "speed": "root mean square of speeds in the end, in what gravity gives in a step",
-    "overlap": "deepest, in radii",
+    "height": "change of the mean height of the spheres at the end, in radii",
+    "speed": "root mean square of the speeds at the end, in units of the speed that gravity gives in a step",
+    "overlap": "deepest overlap, in radii",
     "energy": "largest rise of the total energy from one row to the next, in the weight of the bed times R",
 }
 
@@ -24,7 +24,7 @@ ERRORS = {
 def bed(
     n: int, layers: float, step: float, steps: int, tolerance: float, particles: dict[str, Any] | None = None
 ) -> dict[str, Any]:
-    """The scene of n spheres in a box with gravity, e = 0.5, mode event; in the air, or as given by `particles`."""
+    """Return the tables of n spheres in a box with gravity, e = 0.5, mode event; in the air, or as given by `particles`."""
     side, loose = 2.0 * R * (n / layers) ** 0.5, {"count": n, "position": "random", "radius": {"min": 0.9 * R, "max": R}}
     return {
         "dimension": 3,
@@ -41,12 +41,12 @@ def bed(
 
 
 def experiments(benchmark: Benchmark) -> list[Experiment]:
-    """I: a bed that has settled goes on with each tolerance. Collective."""
+    """Measure I: continue a settled bed with each tolerance. Collective."""
     n, steps = (QUICK_N, QUICK_STEPS) if benchmark.quick else (N, STEPS)
     settled = benchmark.at_end(bed(n, LAYERS, STEP, SETTLING_STEPS, TOLERANCES[2]), "position", "radius")
 
     def heights(sim: Simulation) -> tuple[Array, float]:
-        """(heights of all spheres at the end of the run, largest rise of the energy)."""
+        """Return (heights of all spheres at the end of the run, largest rise of the energy)."""
         before, rise = np.inf, 0.0
         for _ in range(10):
             sim.steps(steps // 10)
@@ -74,7 +74,7 @@ def experiments(benchmark: Benchmark) -> list[Experiment]:
     first, default, last = found.rows[0], found.rows[2], found.rows[-1]
     longer = (last.seconds.median / first.seconds.median) ** (1.0 / (len(found.rows) - 1))
     found.answers = [
-        f"ten times as exact takes {longer:.1f} times as long; heights differ as tolerance^{slope(found.rows, 'height'):.1f}",
+        f"a tenth of the tolerance takes {longer:.1f} times as long; heights go as tolerance^{slope(found.rows, 'height'):.1f}",
         f"the default, {TOLERANCES[2]:g}: height within {default.errors['height']:.1e} R",
     ]
     return [found]

@@ -1,4 +1,4 @@
-"""J: rough spheres. A ball that slides, then rolls, by the step; and how far a bed of rough spheres creeps down a slope."""
+"""J: rough spheres: a ball that slides and then rolls, for several steps; how far a bed of rough spheres creeps down a slope."""
 
 from functools import cache
 from math import cos, pi, sin
@@ -20,17 +20,20 @@ SLOPE = 10.0 * pi / 180.0  # slope of the bed: less than what a heap has
 SETTLING_TIME, MEASURED_TIME, QUICK_MEASURED_TIME = 2.0, 2.0, 0.2  # seconds in which it settles, and those that are measured
 STEP, TOLERANCE = 0.005, 1e-4
 STEPS, TOLERANCES = (0.01, 0.005, 0.0025), (1e-2, 1e-3, 1e-4, 1e-5)
-ROLLING = {"place": f"distance from the true place at t = {ROLL_TIME:g}, root mean square", "speed": "the same of the velocity"}
+ROLLING = {
+    "place": f"distance from the true position at t = {ROLL_TIME:g}, root mean square",
+    "speed": "the same of the velocity",
+}
 LOOSE_WAY = 0.1  # radii: more than contacts give way
 CREEP = {
-    "creep": "how far the spheres move on, the median, in radii a second",
+    "creep": "median of how far the spheres still move, in radii per second",
     "loose": f"part of the spheres that move by more than {LOOSE_WAY:g} R in all",
-    "energy": "how much energy comes or goes, in the weight of the bed times R, a second",
+    "energy": "how fast the energy changes, in the weight of the bed times R per second",
 }
 
 
 def sliding_balls(mode: str, step: float) -> dict[str, Any]:
-    """The scene of balls side by side on a floor, thrown along it without spin."""
+    """Return the tables of balls side by side on a floor, thrown along it without spin."""
     balls = {"position": [[0.0, 1.5 * k, 0.5] for k in range(BALLS)], "velocity": [[v, 0.0, 0.0] for v in SPEEDS], "radius": 0.5}
     law = {"restitution": 0.5, "friction": MU}
     effects: dict[str, Any] = {"uniform_gravity": {"acceleration": [0.0, 0.0, -G]}, "walls": {"planes": FLOOR, **law}}
@@ -39,7 +42,7 @@ def sliding_balls(mode: str, step: float) -> dict[str, Any]:
 
 
 def rolling(benchmark: Benchmark) -> list[Experiment]:
-    """J1: a ball slides until t = 2 v/(7 mu g), then it rolls at 5/7 v. Collective."""
+    """Measure J1: a ball slides until t = 2 v/(7 mu g), then it rolls at 5/7 v. Collective."""
 
     def errors(sim: Simulation) -> Errors:
         sim.run()
@@ -56,12 +59,12 @@ def rolling(benchmark: Benchmark) -> list[Experiment]:
     found = benchmark.compare("J1", f"{BALLS} balls slide, then roll", tried, ROLLING, "exact", slopes=(1.0, 2.0), floor=1e-12)
     orders = ", ".join(f"{curve} {slope(found.curve(curve), 'place'):.2f}" for curve in found.curves)
     most = max(row.errors["speed"] for row in found.rows)
-    found.answers = [f"order in place: {orders}", f"once they roll the speed is right at any step: within {most:.0e}"]
+    found.answers = [f"order in place: {orders}", f"once they roll, the speed is right with any step: within {most:.0e}"]
     return [found]
 
 
 def rough_bed(n: int, step: float, time: float, tolerance: float, particles: dict[str, Any] | None = None) -> dict[str, Any]:
-    """The scene of some six layers on a rough floor that leans; periodic along the slope and across it."""
+    """Return the tables of about six layers on a rough, tilted floor; periodic along the slope and across it."""
     tables = bed(n, 6.0, step, round(time / step), tolerance, particles)
     box, effects = tables["box"], tables["effects"]
     box["upper"][2], box["periodic"] = 40.0 * R, [True, True, False]
@@ -73,7 +76,7 @@ def rough_bed(n: int, step: float, time: float, tolerance: float, particles: dic
 
 
 def creeping(benchmark: Benchmark) -> list[Experiment]:
-    """J2 and J3: a bed that has settled goes on, with several steps and with several tolerances. Collective."""
+    """Measure J2 and J3: continue a settled bed with several steps, and with several tolerances. Collective."""
     n, watched = (QUICK_N, QUICK_MEASURED_TIME) if benchmark.quick else (N, MEASURED_TIME)
 
     @cache
@@ -99,7 +102,7 @@ def creeping(benchmark: Benchmark) -> list[Experiment]:
         for step, tolerance in settings:
             value = step if parameter == "step" else tolerance
             tried.append(benchmark.setting("event", value, rough_bed(n, step, watched, tolerance, settled(step)), errors))
-        title = f"A bed of {n} rough spheres that has settled on a slope with that step, {watched:g} s more, by {parameter}"
+        title = f"A bed of {n} rough spheres on a slope, settled with the same step, {watched:g} s more, by {parameter}"
         found = benchmark.compare(key, title, tried, CREEP, "rest", parameter)
         creep, longer = [row.errors["creep"] for row in found.rows], found.rows[-1].seconds.median / found.rows[0].seconds.median
         found.answers = [

@@ -1,4 +1,4 @@
-"""What accuracy costs in a scene of the user's: its settings on a ladder of steps, and what each of its effects costs."""
+"""What accuracy costs in a user's scene: its settings on a ladder of steps, and the cost of each of its effects."""
 
 from functools import partial
 from math import isnan, nan
@@ -15,21 +15,21 @@ from particles_mpi.study.recommend.search import BUDGET_SECONDS, Search, time_tr
 STEP_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # times the steps of the scene
 INVERSE_TOLERANCES = (1e3, 1e5, 1e7, 1e9)  # of `adaptive`, inverse
 MEANING = {
-    "state": "largest distance of any particle from its place, at up to 16 moments of the run, over the size of the motion",
+    "state": "largest distance of any particle from its true position, at up to 16 times of the run, over the size of the motion",
     "energy": "largest relative error of the energy of the run",
 }
 
 
 def experiments(benchmark: Benchmark, scene: Scene) -> list[Experiment]:
-    """Two experiments: settings of the scene, and its effects switched off in turn. Collective; few bodies on rank 0 alone."""
+    """Measure the settings of the scene, and its effects switched off in turn. Collective; few bodies on rank 0 alone."""
     return Start(benchmark, scene).on_few(lambda start: [settings(start), effects(start)]) or []
 
 
 def settings(start: Start) -> Experiment:
-    """Errors of each integrator, mode or angle over a ladder of steps, in BUDGET_SECONDS; times then take as long again."""
+    """Find the errors of each integrator, mode or angle over a ladder of steps, in BUDGET_SECONDS; times take as long again."""
     quick, metric = start.benchmark.quick, reference(start, BUDGET_SECONDS)
     if not metric.limits:
-        raise SceneError("particles: nothing in this scene has an error")
+        raise SceneError("particles: nothing in this scene has an error that could be measured")
     error, limit = next(iter(metric.limits.items()))  # the most telling
     search = Search(start, metric, {error: 1.0}, 2.0 * BUDGET_SECONDS / 3.0)
     steps = [k * max(start.scene.steps, 4) for k in (STEP_FACTORS[1:4] if quick else STEP_FACTORS)]
@@ -37,7 +37,7 @@ def settings(start: Start) -> Experiment:
     for method in methods(start):
         for resolution in INVERSE_TOLERANCES[:: 2 if quick else 1] if method.adaptive else steps:
             if search.left() < 0.0:
-                search.refused[method.name] = f"not measured further: {BUDGET_SECONDS:.0f} s are over"
+                search.refused[method.name] = f"no further steps measured: the {BUDGET_SECONDS:.0f} s are used up"
                 break
             search.attempt(method, resolution, search.left())
     rows = time_trials(start, [trial for trial in search.trials if not any(map(isnan, trial.errors.values()))])
@@ -52,7 +52,7 @@ def settings(start: Start) -> Experiment:
 
 
 def effects(start: Start) -> Experiment:
-    """Seconds of a step with all effects, and with each switched off in turn, from the same start."""
+    """Time a step with all effects, and with each switched off in turn, from the same start."""
     scene, answers, tried = start.scene, list[str](), []
     steps = max(4, min(scene.steps, 100))
     for name in ["", *scene.active]:
@@ -65,8 +65,8 @@ def effects(start: Start) -> Experiment:
             continue
         curve = f"without {name}" if name else "all effects"
         tried.append(Setting(curve, scene.time.step, begin, steps, lambda sim: {"share": nan}, seconds_of=1))
-    answers.append("an effect that is switched off changes the motion too: shares need not add up to 1")
-    errors = {"share": "of the seconds of a step that go when the effect does"}
+    answers.append("switching an effect off also changes the motion, so shares need not add up to 1")
+    errors = {"share": "share of the seconds of a step that is saved without the effect"}
     title, reference = f"What each effect costs a step: {scene.title or 'the scene'}", "the scene with all its effects"
     found = start.benchmark.compare("H", title, tried, errors, reference, answers=answers)
     for row in found.rows:

@@ -1,4 +1,4 @@
-"""F: softening. The error that it adds, because the problem is another one, beside the error that it takes away.
+"""F: softening: the error that it adds, because it changes the problem, beside the error that it removes.
 
 For an orbit the latter is the error of the integrator; for particles that stand for a smooth sphere it is the noise of their
 finite number, as in W. Dehnen, MNRAS 324, 273 (2001).
@@ -22,7 +22,7 @@ SOFTENINGS, ORBIT_STEPS = (0.0, 1e-3, 1e-2), (500, 2000, 8000)  # softening, of 
 ENCOUNTER_SOFTENING = 0.1  # for the closer encounter
 TOLERANCES = 1e-11, 1e-6  # of the converged softened orbit, and of one to see that it is converged
 ORBIT = {
-    "total": "distance at the end from the place of the planet without softening, in semi-major axes",
+    "total": "distance at the end from the position of the planet without softening, in semi-major axes",
     "model": "that of the softened orbit, without an error of the integrator",
     "numerical": "distance of leapfrog from that softened orbit",
 }
@@ -33,25 +33,25 @@ FIELD_SOFTENINGS = (0.01, 0.03, 0.1, 0.3)  # softening, of the scale length
 FIELD = {
     "total": "root mean square of the force's error over that of the force of the smooth sphere",
     "model": "bias: that of the smooth sphere, softened",
-    "numerical": "noise: what differs from one drawn sphere to another",
+    "numerical": "noise: the difference between spheres drawn at random",
 }
 
 
 def orbit(benchmark: Benchmark, eps: float, n: int, e: float = E, **time: Any) -> Simulation:
-    """A planet without mass about a sun that stands still, one orbit from the apocentre in n steps."""
+    """Return the simulation of a massless planet around a fixed sun: one orbit from the apocentre in n steps."""
     places, speeds = [[-1.0 - e, 0.0], [0.0, 0.0]], [[0.0, -sqrt((1.0 - e) / (1.0 + e))], [0.0, 0.0]]
     fall = {"position": places, "velocity": speeds, "mass": [0.0, 1.0]}
     return benchmark.simulate(gravity(fall, 2.0 * pi / n, n, softening=eps, **time))
 
 
 def end(sim: Simulation) -> Array:
-    """Place of the planet at the end of the run. Collective."""
+    """Return the position of the planet at the end of the run. Collective."""
     sim.run()
     return all_particles(sim).position[0]
 
 
 def kepler(benchmark: Benchmark) -> list[Experiment]:
-    """F1: each softening over the same steps: the numerical error shrinks along a curve, that of the model stays. Collective."""
+    """Measure F1: each softening with the same steps: the numerical error falls, that of the model stays. Collective."""
     exact = place_on_ellipse(3.0 * pi, E)  # at the apocentre, after one orbit
     pairs = {eps: [end(orbit(benchmark, eps, 2, integrator="adaptive", tolerance=t)) for t in TOLERANCES] for eps in SOFTENINGS}
     softened = {eps: fine for eps, (fine, _) in pairs.items()}
@@ -96,7 +96,7 @@ def kepler(benchmark: Benchmark) -> list[Experiment]:
 
 
 def smooth_field(r: Array, eps: float) -> Array:
-    """Inward force at radii r of the smooth sphere, of mass 1, each part of which attracts with softening.
+    """Return the inward force at radii r of the smooth sphere of mass 1 whose parts attract with softening.
 
     A shell of radius R has the potential -(|r + R| - |r - R|)/(2 r R), with |x| = (x^2 + eps^2)^(1/2). SHELLS of them
     hold the mass between cubes of equal steps, so that radii begin evenly.
@@ -110,9 +110,9 @@ def smooth_field(r: Array, eps: float) -> Array:
 
 @cache
 def fields(n: int) -> dict[float, Errors]:
-    """Errors of the field of n particles against that of the smooth sphere from which they are drawn, by softening.
+    """Return the errors of the field of n particles relative to the smooth sphere from which they are drawn, by softening.
 
-    At places that are drawn like particles, so that all are weighted by mass.
+    They are measured at positions that are drawn like particles, so that all are weighted by mass.
     """
     random, mass = np.random.default_rng(1), np.full(n, 1.0 / n)
     at, *drawn = (plummer_places(random, 1.0, np.full(many, 1.0 / many)) for many in (FIELD_PLACES, *[n] * SPHERES))
@@ -131,7 +131,7 @@ def fields(n: int) -> dict[float, Errors]:
 
 
 def plummer(benchmark: Benchmark) -> list[Experiment]:
-    """F2: softening of N particles that stand for a smooth sphere. Collective."""
+    """Measure F2: softening of N particles that represent a smooth sphere. Collective."""
 
     def one(eps: float) -> Setting:
         def errors(sim: Simulation) -> Errors:

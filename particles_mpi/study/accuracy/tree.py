@@ -28,10 +28,10 @@ BY_PARTICLE = {  # median errors at angles 1, 0.7, 0.5 where each particle walks
 
 
 def settings(benchmark: Benchmark, n: int) -> Iterator[Setting]:
-    """The direct sum, whose forces are the reference of the others, and trees from coarse to fine.
+    """Yield the direct sum, whose forces are the reference for the others, and trees from coarse to fine.
 
-    A step holds one evaluation of the forces, besides it two kicks and a drift, some 10 ns a particle. A simulation goes on
-    where it is from sample to sample: an evaluation costs the same there.
+        A step has one evaluation of the forces, and two kicks and a drift, about 10 ns per particle. The simulation is not begun
+    anew for each sample, because an evaluation costs the same at any time.
     """
     exact: list[Array] = []  # accelerations of this rank's particles
 
@@ -61,7 +61,7 @@ def relative(a: Array, exact: Array) -> Array:
 
 
 def round_off(sim: Simulation, a: Array) -> Array:
-    """Relative errors of some accelerations, against sums in extended precision. Collective."""
+    """Return the relative errors of some accelerations, from sums in extended precision. Collective."""
     p = all_particles(sim)
     arrived = allgather_rows(sim.ranks, {"id": sim.particles.id, "a": a})
     a = arrived["a"][np.argsort(arrived["id"], kind="stable")]
@@ -76,7 +76,7 @@ def round_off(sim: Simulation, a: Array) -> Array:
 
 
 def at_error(rows: Sequence[Row], error: float, cost: Callable[[Row], float] = lambda row: row.seconds.median) -> float:
-    """Cost of a tree with this median error: between its settings, in logarithms; of the coarsest if that is better; or nan."""
+    """Return the cost of a tree with this median error, by interpolation of logarithms; of the coarsest if better; or nan."""
     order = sorted(rows, key=lambda row: row.errors["median"])
     if error < order[0].errors["median"]:
         return nan
@@ -84,7 +84,7 @@ def at_error(rows: Sequence[Row], error: float, cost: Callable[[Row], float] = l
 
 
 def compared(found: Experiment) -> Iterator[str]:
-    """What the same error costs by monopoles, by quadrupoles, and by the direct sum, which is always better."""
+    """Describe what the same error costs with monopoles, with quadrupoles, and with the direct sum, which is always better."""
     direct, trees = found.curve(DIRECT_SUM)[0].seconds.median, [found.curve(curve) for curve in TREE_CURVES.values()]
     finest = max(min(row.errors["median"] for row in rows) for rows in trees)
     for error in sorted({COMPARED_ERROR, finest}, reverse=True):
@@ -98,9 +98,9 @@ def compared(found: Experiment) -> Iterator[str]:
 
 
 def crossover(sizes: Sequence[int], found: Sequence[Experiment], curve: str) -> float:
-    """N above which a tree of median error COMPARED_ERROR costs less than the direct sum, between sizes in logarithms.
+    """Return the N above which a tree of median error COMPARED_ERROR costs less than the direct sum, by interpolation.
 
-    0 if it does at all of them, inf if at none.
+    0 if it does at all sizes, inf if at none.
     """
     gain = [log(e.curve(DIRECT_SUM)[0].seconds.median / at_error(e.curve(curve), COMPARED_ERROR)) for e in found]
     if not gain[-1] > 0.0:
@@ -110,7 +110,7 @@ def crossover(sizes: Sequence[int], found: Sequence[Experiment], curve: str) -> 
 
 
 def conclusions(sizes: Sequence[int], found: Sequence[Experiment], ranks: int) -> Iterator[str]:
-    """From which number of particles on trees cost less, as measured and by the cost model of the plan; their errors."""
+    """Describe from which number of particles on trees cost less, as measured and by the cost model of the plan; their errors."""
     for curve in TREE_CURVES.values():
         n = crossover(sizes, found, curve)
         where = {0.0: f"at N = {sizes[0]} already", inf: f"not yet at N = {sizes[-1]}"}.get(n, f"from N = {n:.0f} on")
@@ -125,7 +125,7 @@ def conclusions(sizes: Sequence[int], found: Sequence[Experiment], ranks: int) -
 
 
 def experiment(benchmark: Benchmark, k: int, n: int) -> Experiment:
-    """All settings for n particles."""
+    """Measure all settings for n particles."""
     title = f"One evaluation of the forces in a Plummer sphere of {n}"
     found = benchmark.compare(f"D{k}", title, settings(benchmark, n), ERRORS, "the direct sum in float64", "opening angle")
     own = found.rows[0].errors
@@ -135,7 +135,7 @@ def experiment(benchmark: Benchmark, k: int, n: int) -> Experiment:
 
 
 def experiments(benchmark: Benchmark) -> list[Experiment]:
-    """D, an experiment for each number of particles. Collective."""
+    """Measure D for each number of particles. Collective."""
     sizes = QUICK_SIZES if benchmark.quick else SIZES
     found = [experiment(benchmark, k, n) for k, n in enumerate(sizes, 1)]
     found[-1].answers += conclusions(sizes, found, benchmark.ranks.size)

@@ -1,4 +1,4 @@
-"""Hard cases: what naive programs do there, what must hold here, and what is measured.
+"""Hard cases: what naive programs do with them, what must hold here, and what is measured.
 
 catalogue  what a case is, all cases, how one is run; `study hard-cases`, which prints the table
 contacts   friction and drag where explicit rules fail; single contacts: where and when they happen, and what they give

@@ -1,4 +1,4 @@
-"""What a case is, all cases, and how one is run.
+"""What a case is, the catalogue of all cases, and how a case is run.
 
 A case is a function of a `CaseRun`, which builds simulations in one mode and dimension on a communicator. It returns what it
 measured, as a text, and whether that is what must hold. `study hard-cases` prints the table, the tests run the same functions.
@@ -40,7 +40,7 @@ class CaseRun:
         self, particles: list[dict[str, Any]], step: float, steps: int = 1, effects: Effects | None = None,
         integrator: str = "leapfrog", **scene: Any,
     ) -> Simulation:  # fmt: skip
-        """A simulation in this mode and dimension; `scene`: other tables than those of time and particles. Collective."""
+        """Return a simulation in this mode and dimension; `scene`: further tables of the scene. Collective."""
         effects = {name: dict(options) for name, options in (effects or {}).items()}
         if self.mode and "collisions" in effects:
             effects["collisions"]["mode"] = self.mode
@@ -50,29 +50,29 @@ class CaseRun:
         return self.built[-1]
 
     def finish(self, *arguments: Any, **scene: Any) -> tuple[Simulation, Particles]:
-        """A simulation that has been run to its end, and all its particles there. Collective."""
+        """Run a simulation to its end; returns it and all its particles. Collective."""
         sim = self.simulate(*arguments, **scene)
         sim.run()
         return sim, all_particles(sim)
 
     def point(self, *coordinates: float, rest: float = 0.0) -> list[float]:
-        """The point with these first coordinates; all others are `rest`."""
+        """Return the point with these first coordinates; all others are `rest`."""
         return [*coordinates, *[rest] * (self.dimension - len(coordinates))][: self.dimension]
 
     def upright(self, height: float, rest: float = 0.0) -> list[float]:
-        """The point at this height, the last coordinate; all others are `rest`."""
+        """Return the point with this last coordinate, the height; all others are `rest`."""
         return [rest] * (self.dimension - 1) + [height]
 
     def cube(self, edge: float, lower: float = 0.0) -> dict[str, Any]:
-        """A box of this edge."""
+        """Return the table of a box with this edge."""
         return {"lower": [lower] * self.dimension, "upper": [lower + edge] * self.dimension}
 
     def in_passes(self, many: int) -> dict[str, Any]:
-        """Options of collisions by which `rewind` gets through a chain of contacts in one step."""
+        """Return options of collisions with which `rewind` gets through a chain of contacts in one step."""
         return {"passes": many} if self.mode == "rewind" else {}
 
     def digest(self) -> str:
-        """A hash of the final states of all simulations: every bit of every field. Collective."""
+        """Return a hash of every bit of the final states of all simulations. Collective."""
         text = sha256()
         for p in map(all_particles, self.built):
             for name in p.arrays:
@@ -101,7 +101,7 @@ class Case(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a case came to in one mode and dimension; same_bits: as on one rank, None where there is no other to compare with."""
+    """The result of a case in one mode and dimension; same_bits: as on one rank? None if there is only one rank."""
 
     measured: str
     holds: bool
@@ -112,7 +112,7 @@ CATALOGUE: list[Case] = []
 
 
 def case(name: str, naive: str, must: str, **where: Any) -> Callable[[CaseFunction], CaseFunction]:
-    """Enters a function into the catalogue; `where`: modes, dimensions, long."""
+    """Return a decorator that enters a function into the catalogue; `where`: modes, dimensions, long."""
 
     def enter(function: CaseFunction) -> CaseFunction:
         CATALOGUE.append(Case(name, naive, must, function, **where))
@@ -122,19 +122,19 @@ def case(name: str, naive: str, must: str, **where: Any) -> Callable[[CaseFuncti
 
 
 def catalogue() -> list[Case]:
-    """All cases, in the order of the table."""
+    """Return all cases, in the order of the table."""
     for module in CASE_MODULES:
         import_module(f"particles_mpi.study.hard_cases.{module}")
     return CATALOGUE
 
 
 def settings(cases: list[Case]) -> Iterator[tuple[Case, str | None, int]]:
-    """Each case in each of its modes and dimensions."""
+    """Return each case with each of its modes and dimensions."""
     return ((one, mode, dimension) for one in cases for mode in one.modes for dimension in one.dimensions)
 
 
 def examine(one: Case, mode: str | None, dimension: int) -> Outcome:
-    """Run a case on all ranks; on several also on this rank alone, for the bits must be the same. Collective."""
+    """Run a case on all ranks; if there are several, also on this rank alone, to compare the bits. Collective."""
     run, ranks, same_bits = CaseRun(mode, dimension), Communicator(), None
     measured, holds = one.function(run)
     if ranks.size > 1:
@@ -145,16 +145,16 @@ def examine(one: Case, mode: str | None, dimension: int) -> Outcome:
 
 
 def chosen(only: str | None, full: bool) -> list[Case]:
-    """The cases whose names hold `only`, or one of several texts with | between; long ones if asked for, by `full` or by name."""
+    """Return the cases whose names contain `only`, or one of several texts divided by |; long ones with `full` or `only`."""
     parts = (only or "").lower().split("|")
     cases = [one for one in catalogue() if any(part in one.name.lower() for part in parts)]
     if not cases:
-        raise SceneError(f"--only: no case has {only!r} in its name; there are: " + "; ".join(c.name for c in catalogue()))
+        raise SceneError(f"--only: no case has {only!r} in its name; the cases are: " + "; ".join(c.name for c in catalogue()))
     return [one for one in cases if full or only is not None or not one.long]
 
 
 def study_hard_cases(only: str | None, full: bool, into: Path | None) -> bool:
-    """The table, row by row as cases end, and whether all that must hold does. `into`: the outcomes as JSON. Collective."""
+    """Print the table, row by row as cases end, write JSON `into` a file, and return whether all hold. Collective."""
     ranks = Communicator()
     screen, before = Screen(ranks.is_root, False), None
     rows: list[dict[str, Any]] = []
@@ -174,7 +174,11 @@ def study_hard_cases(only: str | None, full: bool, into: Path | None) -> bool:
         rows.append(about | outcome._asdict())
     screen.stop()
     passed = sum(row["holds"] and row["same_bits"] is not False for row in rows)
-    bits = f", each with the bits of one rank on {ranks.size}" if ranks.size > 1 else "; bits are compared under mpirun only"
+    bits = (
+        f", each with the same bits on {ranks.size} ranks as on one"
+        if ranks.size > 1
+        else "; bits are compared only under mpirun"
+    )
     screen.say(f"{passed} of {len(rows)} hold{bits}")
     if into:
         make_folder(ranks, into.parent)
@@ -183,7 +187,7 @@ def study_hard_cases(only: str | None, full: bool, into: Path | None) -> bool:
 
 
 def energies(sim: Simulation, samples: int, steps: int = 1) -> Array:
-    """Total energy now and, `samples` times, after so many steps more. Collective."""
+    """Return the total energy now and, `samples` times, after `steps` more steps. Collective."""
     found = [sim.measure()["total_energy"]]
     for _ in range(samples):
         sim.steps(steps)
@@ -192,10 +196,10 @@ def energies(sim: Simulation, samples: int, steps: int = 1) -> Array:
 
 
 def largest_rise(energies: Array) -> float:
-    """By how much an energy rose above the least before it, in parts of the first."""
+    """Return the largest rise of an energy above its least value before, relative to the first value."""
     return float((energies - np.minimum.accumulate(energies)).max() / abs(energies[0]))
 
 
 def where(mode: str | None, dimension: int) -> str:
-    """A mode of collisions, if there is one, and the dimension, in words: `event 3D`."""
+    """Return a mode of collisions, if there is one, and the dimension as text: `event 3D`."""
     return f"{mode or ''} {dimension}D".strip()

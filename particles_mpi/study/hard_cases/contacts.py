@@ -1,4 +1,4 @@
-"""Friction and drag where explicit rules fail; single contacts: where and when they happen, and what they give."""
+"""Friction and drag where explicit rules fail; single contacts: where and when they happen, and their result."""
 
 from math import pi, sqrt
 
@@ -70,7 +70,7 @@ def touching(run: CaseRun) -> Finding:
 
 @case("grazing, from distance 1e4 with b/d = 1 - 1e-10", "b^2 - a c cancels: 220 of 300 missed", "0 of 300 missed")
 def grazing(run: CaseRun) -> Finding:
-    """Whole steps by `event`; the root that `rewind` uses, because its steps may not be so long."""
+    """`event` computes whole steps; of `rewind`, which allows no such long steps, only its root is tested."""
     d, random, missed = run.dimension, np.random.default_rng(2), 0
     for _ in range(300):
         way, side = random.standard_normal((2, d))
@@ -90,7 +90,7 @@ def grazing(run: CaseRun) -> Finding:
 
 @case("mass ratio 1e8, and a fixed sphere", "momentum lost to round-off, the heavy one shaken", "momentum to a few ulp")
 def mass_ratio(run: CaseRun) -> Finding:
-    """A heavy sphere hits a light one, another light one a sphere that is fixed."""
+    """A heavy sphere hits a light one, and another light one hits a fixed sphere."""
     particles = [
         {"position": [run.point(0.0)], "velocity": run.point(1.0), "radius": 0.5, "mass": 1e8},
         {"position": [run.point(1.5)], "radius": 0.5, "mass": 1.0},
@@ -152,7 +152,7 @@ def bullet(run: CaseRun) -> Finding:
 
 @case("squeezed between wall and sphere, and between two fixed spheres", "endless loop, or thrown out", "capped, counted, inside")
 def squeezed(run: CaseRun) -> Finding:
-    """Two spheres without room to move, both with a speed."""
+    """Two spheres without room to move have a speed."""
     moving = [{"position": [run.point(x, rest=5.0)], "velocity": run.point(1.0), "radius": 0.5} for x in (0.5, 10.0)]
     fixed = {"position": [run.point(x, rest=5.0) for x in (1.5, 9.0, 11.0)], "radius": 0.5, "fixed": True}
     effects: Effects = {"collisions": {}, "walls": {}}

@@ -10,7 +10,7 @@ from particles_mpi.study.experiment import all_particles, total_count
 from particles_mpi.study.hard_cases.catalogue import CaseRun, Effects, Finding, case
 
 
-@case("cradle of 5, column of 50, touching; hit at one end", "several come off, or all move", "the last one leaves, exactly")
+@case("cradle of 5, column of 50, touching; hit at one end", "several leave, or all move", "the last one leaves, exactly")
 def cradle(run: CaseRun) -> Finding:
     """A sphere hits a chain of spheres that touch."""
     off = 0.0

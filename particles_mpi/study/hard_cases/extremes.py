@@ -55,7 +55,7 @@ MUST = "ids a permutation at every step; same bits on any number of ranks"
 
 
 def watch_ids(sim: Simulation, steps: int) -> Finding:
-    """Steps, after each of which every id must be there once."""
+    """Do steps, and check after each that every id is present once."""
     number, lost = sim.total, 0
     for _ in range(steps):
         sim.step()
@@ -64,11 +64,11 @@ def watch_ids(sim: Simulation, steps: int) -> Finding:
 
 
 def grid(run: CaseRun, axis: Any) -> Array:
-    """All points, in rows, whose coordinates are among those of the axis."""
+    """Return all points, one in each row, whose coordinates are among those of the axis."""
     return np.stack(np.meshgrid(*[axis] * run.dimension, indexing="ij"), axis=-1).reshape(-1, run.dimension)
 
 
-@case("on borders and corners of domains", "owned twice, or by nobody", MUST)
+@case("on borders and corners of domains", "owned by two ranks, or by none", MUST)
 def on_borders(run: CaseRun) -> Finding:
     """A lattice symmetric about all borders of 2, 4, 8 ranks, and spheres at rest exactly on these."""
     lattice, corners = grid(run, np.arange(1.0, 16.0, 2.0)), grid(run, [4.0, 8.0, 12.0])
@@ -99,7 +99,7 @@ def one_corner(run: CaseRun) -> Finding:
 
 @case("three particles, and none", "more ranks than particles: a hang", MUST)
 def few_particles(run: CaseRun) -> Finding:
-    """The same box without particles, and with three."""
+    """The box without particles, and with three."""
     three = {"position": [run.point(rest=1.0 + 1.5 * k) for k in range(3)], "radius": 0.5, "velocity": {"speed": 3.0}}
     none = {"count": 0, "position": "random", "radius": 0.5}
     outcomes = [watch_ids(run.simulate([some], 0.05, effects=CLOSED, box=run.cube(10.0)), 60) for some in (none, three)]

@@ -22,7 +22,7 @@ NEGLIGIBLE_CHANGE = 1e-9  # change of the energy that is acceptable
 def two_masses(
     run: CaseRun, apart: float, speed: float, integrator: str, step: float, softening: float = 0.0, place: float = 0.0
 ) -> Simulation:
-    """Two halves of mass 1, `apart` along x about a place on every axis, with this relative speed along y. Collective."""
+    """Return two halves of mass 1, `apart` along x around a point, with this relative speed along y. Collective."""
     masses = [
         {"position": [run.point(place + sign * apart / 2, rest=place)], "velocity": run.point(0.0, sign * speed / 2), "mass": 0.5}
         for sign in (1.0, -1.0)
@@ -31,13 +31,13 @@ def two_masses(
 
 
 def energy_changes(sim: Simulation, samples: int, steps: int) -> Array:
-    """Relative changes of the energy since the start: there and, `samples` times, after so many steps more. Collective."""
+    """Return the relative changes of the energy since the start: there and, `samples` times, after more steps. Collective."""
     found = energies(sim, samples, steps)
     return found / found[0] - 1.0
 
 
 def encounter(run: CaseRun, integrator: str, softening: float, periods: float, substeps: int) -> tuple[float, float]:
-    """(largest, last) relative change of the energy of two masses on an orbit of e = 0.999, sampled 200 times."""
+    """Return (largest, last) relative change of the energy of two masses on an orbit of e = 0.999, sampled 200 times."""
     step, speed = 2.0 * np.pi * periods / 200.0 / substeps, sqrt(2.0 * (1.0 / 1.999 - 0.5))
     changes = np.abs(energy_changes(two_masses(run, 1.999, speed, integrator, step, softening), 200, substeps))
     return float(changes.max()), float(changes[-1])
@@ -45,20 +45,20 @@ def encounter(run: CaseRun, integrator: str, softening: float, periods: float, s
 
 @case("close encounter, e = 0.999, not softened", "thrown out of the system", "`adaptive`: energy within 1e-10", modes=(None,))
 def close_encounter(run: CaseRun) -> Finding:
-    """Steps that follow the forces get through."""
+    """Adaptive steps get through the encounter."""
     worst, _ = encounter(run, "adaptive", 0.0, 2.0, 1)
     return f"energy within {worst:.0e} over 2 periods", worst <= 1e-10
 
 
 @case("close encounter, e = 0.999, softening 0.05", "thrown out", "`leapfrog`: within 5 %, and back", modes=(None,))
 def softened_encounter(run: CaseRun) -> Finding:
-    """Fixed steps get through what is softened."""
+    """Fixed steps get through a softened encounter."""
     worst, last = encounter(run, "leapfrog", 0.05, 1.0, 20)
     return f"energy within {worst:.1e}, {last:.0e} after the period", worst <= 5e-2 and last <= 1e-4
 
 
 def binary(run: CaseRun, integrator: str, steps: int, apart: float, place: float) -> tuple[Array, int]:
-    """(relative changes of the energy, roundings of a position) of equal masses on a circle, in `steps` an orbit."""
+    """Return (relative changes of the energy, roundings of a position) of equal masses on a circle, in `steps` per orbit."""
     rate = apart**-1.5
     sim = two_masses(run, apart, rate * apart, integrator, 2.0 * np.pi / rate / steps, place=place)
     changes = energy_changes(sim, FAR_ORBITS * SAMPLES_AN_ORBIT, steps // SAMPLES_AN_ORBIT)
@@ -66,7 +66,7 @@ def binary(run: CaseRun, integrator: str, steps: int, apart: float, place: float
 
 
 def far_binaries(run: CaseRun, integrator: str, steps: int) -> Finding:
-    """Binaries far from the origin: how far their energies part from those of the same binaries at the origin.
+    """Binaries far from the origin: how far their energies depart from those of the same binaries at the origin.
 
     Rounding a position by u/sqrt(12), u its unit in the last place, changes the energy of a circular orbit by the force
     times that, relatively by 2 u/apart at most; n roundings by chance add up as the root of n. Forces at rounded places
@@ -91,7 +91,7 @@ for integrator, steps in {"adaptive": 4, "leapfrog": 100, "order4": 40}.items():
 
 @kernel
 def circle(orbits, steps, compensated):
-    """Energy errors of a circular orbit after 10, 100, ... orbits of leapfrog, `steps` an orbit: the program's kick and drift.
+    """Return energy errors of a circular orbit after 10, 100, ... orbits, by the program's kick and drift, in `steps` per orbit.
 
     The radius is that of the leapfrog's own circle, so that all that is left is round-off. `compensated`: positions by
     Kahan's sum.
@@ -136,7 +136,7 @@ def circle(orbits, steps, compensated):
     dimensions=(2,),
 )
 def many_orbits(run: CaseRun) -> Finding:
-    """Round-off alone, by the kick and the drift of the program."""
+    """Only round-off, from the kick and the drift of the program."""
     simple, kahan = circle(KEPLER_ORBITS, KEPLER_STEPS, False), circle(KEPLER_ORBITS, KEPLER_STEPS, True)
     power = log(simple[-1] / simple[2]) / log(KEPLER_ORBITS / 1000.0)
     measured = f"{simple[-1]:.0e} after 1e6 (1e3: {simple[2]:.0e}; power {power:.1f}); compensated {kahan[-1]:.0e}"

@@ -1,4 +1,4 @@
-"""Contacts that last, and a ball that never stops."""
+"""Lasting contacts, and a ball that never stops."""
 
 from functools import partial
 from itertools import product
@@ -15,14 +15,14 @@ RESTITUTIONS = (0.0, 0.5, 0.9)
 
 
 def under_gravity(run: CaseRun, e: float, step: float, upper: list[float], particles: dict[str, Any]) -> Simulation:
-    """Particles in a box with gravity along the last axis; restitution e at walls and between particles."""
+    """Return the tables of a box with gravity along the last axis, and restitution e at walls and between particles."""
     fall = {"acceleration": run.upright(-9.81)}
     effects: Effects = {"uniform_gravity": fall, "walls": {"restitution": e}, "collisions": {"restitution": e}}
     return run.simulate([particles], step, effects=effects, box={"lower": run.point(), "upper": upper}, seed=1)
 
 
 def deepest_overlap(sim: Simulation) -> float:
-    """The deepest overlap of two spheres, or a sphere and the box, in mean radii; < 0 if nothing touches. Collective."""
+    """Return the deepest overlap of two spheres, or of a sphere and the box, in mean radii; < 0 if none touch. Collective."""
     p, box = all_particles(sim), sim.scene.box
     assert box
     walls = np.maximum(box.lower - (p.position - p.radius[:, None]), p.position + p.radius[:, None] - box.upper).max()
@@ -31,7 +31,7 @@ def deepest_overlap(sim: Simulation) -> float:
     return float(max(walls, (p.radius[a] + p.radius[b] - apart).max(initial=-np.inf)) / p.radius.mean())
 
 
-@case("resting ball, e = 0, 0.5, 0.9", "bounces for ever, sinks, or gets warm", "kinetic energy exactly 0, energy never rises")
+@case("resting ball, e = 0, 0.5, 0.9", "bounces for ever, sinks, or gains energy", "kinetic energy exactly 0, energy never rises")
 def ball(run: CaseRun) -> Finding:
     """A ball falls and comes to rest."""
     left, risen = [], -np.inf
@@ -47,7 +47,7 @@ def ball(run: CaseRun) -> Finding:
     "resting columns of 10 and 50, e = 0, 0.5, 0.9", "sink into one another, buckle, or rattle", "K -> 0, overlap <= 1e-3 R, stay"
 )
 def columns(run: CaseRun) -> Finding:
-    """Spheres above one another, a little apart, fall on top of one another and stay there."""
+    """Spheres above one another, a little apart, fall onto one another and stay there."""
     kinetic, deepest, moved = 0.0, -np.inf, 0.0
     for n, e in product((10, 50), RESTITUTIONS):
         column = {"position": [run.upright(0.05 + 0.102 * k, rest=0.5) for k in range(n)], "radius": 0.05}
@@ -63,7 +63,7 @@ def columns(run: CaseRun) -> Finding:
 
 
 def bed(run: CaseRun, count: int, layers: float, e: float, falls: float, lasts: float) -> Finding:
-    """Spheres fall from a loose heap for a time `falls`, and are watched for `lasts`."""
+    """Let spheres fall from a loose heap for a time `falls`, and watch them for `lasts`."""
     d, step = run.dimension, 0.005
     side = round((count / layers) ** (1.0 / (d - 1)) * 0.1, 2)
     height = round(0.1 * layers * (3.0 if d == 3 else 2.2), 2)
@@ -88,7 +88,7 @@ NAIVE_BED, STEADY_BED = "sinks, boils, or spheres leave the box", "K -> 0, overl
 
 @case("beds of 200, e = 0, 0.5, 0.9", NAIVE_BED, STEADY_BED)
 def small_beds(run: CaseRun) -> Finding:
-    """Six layers."""
+    """Beds of six layers."""
     outcomes = [bed(run, 200, 6.0, e, 2.0, 2.0) for e in RESTITUTIONS]
     return "; ".join(measured for measured, _ in outcomes), all(holds for _, holds in outcomes)
 
@@ -100,7 +100,7 @@ for e, (lasts, long) in product(RESTITUTIONS, ((3.0, False), (10.0, True))):  # 
 
 @case("1e5 bounces of an elastic ball between walls", "energy drifts", "energy drift <= 1e-9")
 def bouncing(run: CaseRun) -> Finding:
-    """Many bounces in a step by `event`, which needs no small ones; rewind's steps are short."""
+    """`event` computes many bounces in a step; the steps of `rewind` are short."""
     place, speeds = [0.41, 0.52, 0.59], [10.0, 0.7 * 10.0, 0.3 * 10.0]
     ball = {"position": [place[: run.dimension]], "velocity": [speeds[: run.dimension]], "radius": 0.4}
     effects: Effects = {"walls": {}, "collisions": run.in_passes(60)}
@@ -114,7 +114,7 @@ def bouncing(run: CaseRun) -> Finding:
 
 @case("1e5 bounces under gravity", "energy off by g v h at each", "energy within 1e-9", modes=(None, *MODES), dimensions=(2,))
 def bouncing_under_gravity(run: CaseRun) -> Finding:
-    """A thousand balls, a hundred bounces each, with steps of a fiftieth of a flight and more."""
+    """A thousand balls bounce a hundred times each, with steps of a fiftieth of a flight and more."""
     heights = np.linspace(0.5, 1.5, 1000)
     balls = {"position": [[1.0 + k, float(z)] for k, z in enumerate(heights)], "radius": 0.1}
     effects: Effects = {"walls": {}, "uniform_gravity": {"acceleration": [0.0, -9.81]}}

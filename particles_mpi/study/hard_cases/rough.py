@@ -14,19 +14,19 @@ MOST_RISE = 1e-6  # of the energy at the start, at most
 
 
 def solid(run: CaseRun) -> float:
-    """I/(m R^2) of a disc in the plane, of a sphere in space."""
+    """Return I/(m R^2) of a disc in the plane, or of a sphere in space."""
     return 0.5 if run.dimension == 2 else 0.4
 
 
 def surfaces(run: CaseRun, gravity: list[float], friction: float, normals: list[list[float]], e: float = 0.0) -> Effects:
-    """Effects: gravity, spheres and planes through the origin, all of this friction and restitution."""
+    """Return the effects: gravity, spheres and planes through the origin, all with this friction and restitution."""
     law = {"restitution": e, "friction": friction}
     planes = {"planes": [{"point": run.point(), "normal": normal} for normal in normals]}
     return {"uniform_gravity": {"acceleration": gravity}, "collisions": dict(law), "walls": law | planes}
 
 
 def spinning(run: CaseRun, speed: float) -> list[float]:
-    """The spin of a sphere that turns in the plane of the first axis and the last: one number in the plane, a vector in space.
+    """Return the spin of a sphere that turns in the plane of the first and last axis: a number in 2D, a vector in 3D.
 
     At speed > 0 the lowest point of the sphere moves along the first axis, so that friction of a floor pushes the sphere
     backwards along it.
@@ -43,7 +43,7 @@ def energy_rise(sim: Simulation, time: float) -> float:
     "a ball that spins at 1e6 falls on a floor", "thrown off at the speed of its surface", "v_t = mu (1 + e) v_n; then a = mu g"
 )
 def top_speed(run: CaseRun) -> Finding:
-    """One hit without gravity, and a ball that lies on the floor."""
+    """A ball hits the floor without gravity, and another ball lies on it."""
     mu, e, fall, radius = 0.3, 0.7, 2.0, 0.5
     ball = {"position": [run.upright(0.51)], "velocity": run.upright(-fall), "spin": spinning(run, SPIN), "radius": radius}
     floor = surfaces(run, run.point(), mu, [run.upright(1.0)], e)
@@ -64,7 +64,7 @@ def top_speed(run: CaseRun) -> Finding:
     "mu = 0: slides without turning; mu = 1e6: the bits of no limit at all, rolls with g sin/(1 + I/(m R^2))",
 )
 def extreme_friction(run: CaseRun) -> Finding:
-    """A hit off centre with each coefficient and without a limit; a ball that starts on the slope."""
+    """An off-centre hit with each coefficient and without a limit; a ball that starts on the slope."""
     thrown = [{"position": [run.point(-1.2, 0.3)], "velocity": run.point(3.0), "radius": 0.5, "spin": spinning(run, 2.0)}]
     thrown.append({"position": [run.point()], "radius": 0.5})
 
@@ -105,7 +105,7 @@ def mass_ratios(run: CaseRun) -> Finding:
 
 @case(
     "a ball that spins in a groove of 90 degrees",
-    "climbs, or gets warm, as each wall drags it onto the other",
+    "climbs, or gains energy, as each wall drags it onto the other",
     "d spin/dt = -sqrt(2) mu g m R/((1 + mu^2) I), in its place, down to exactly 0",
 )
 def spinning_in_a_groove(run: CaseRun) -> Finding:
@@ -128,7 +128,7 @@ def spinning_in_a_groove(run: CaseRun) -> Finding:
 
 @case(
     "a ball rolls or slides down a groove of 90 degrees",
-    "it rolls on its radius, or both contacts share badly",
+    "rolls on its radius, or both contacts share its weight badly",
     "rolls on R cos 45 with g sin/1.8 up to tan = 3.18 mu, slides above 3.34 mu with g sin - sqrt(2) mu g cos",
     dimensions=(3,),
 )
@@ -177,13 +177,13 @@ def between_floor_and_sphere(run: CaseRun) -> Finding:
 
 
 def stands(sim: Simulation, time: float) -> tuple[float, float]:
-    """(How far the sphere of the highest id moved within a time, and its `energy_rise`.) Collective."""
+    """Return (how far the sphere with the highest id moved within a time, the `energy_rise`). Collective."""
     before, rise = all_particles(sim).position[-1], energy_rise(sim, time)
     return float(np.abs(all_particles(sim).position[-1] - before).max()), rise
 
 
 def verdict(found: list[tuple[float, float]]) -> Finding:
-    """The finding from `stands` of pairs of runs: friction just below what statics asks for (must fall), then just above."""
+    """Return the finding from pairs of runs by `stands`: friction just below the limit of statics (must fall), and just above."""
     falls, holds = min(moved for moved, _ in found[::2]), max(moved for moved, _ in found[1::2])
     rise = max(rise for _, rise in found)
     below, above = (f"moved {moved:.0e} at {part:.2f} mu" for moved, part in zip((falls, holds), BESIDE_LIMIT, strict=True))

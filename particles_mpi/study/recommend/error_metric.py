@@ -51,16 +51,16 @@ class ErrorMetric:
 
     @property
     def span(self) -> float:
-        """Time units that the reference covers."""
+        """The time that the reference covers."""
         return self.part * self.start.duration
 
     @property
     def snapshots(self) -> int:
-        """How many snapshots runs over the span have."""
+        """The number of snapshots of runs over the span."""
         return self.start.snapshots(self.part)
 
     def errors(self, record: Record) -> Errors:
-        """How wrong a run over the span is."""
+        """Return the errors of a run over the span."""
         found: Errors = {}
         if "state" in self.limits:
             found["state"] = self.start.apart(record.places, self.places) / self.size
@@ -70,11 +70,11 @@ class ErrorMetric:
         return found | {name: abs(record.observables[name] - mean) / self.scale_of(name) for name, mean in self.means.items()}
 
     def scale_of(self, name: str) -> float:
-        """What the error of an observable is relative to: itself, but a height has no zero of its own."""
+        """Return the scale of an observable's error: its own value, or the size of the motion for a height, which has no zero."""
         return abs(self.means[name]) if name != "height" else self.size
 
     def difference(self, error: str, one: Record, other: Record) -> float:
-        """How far two runs are apart, in the units of an error that is no state: `runs.apart_all_along` compares places."""
+        """Return how far two runs are apart in any error but `state`, for which `runs.apart_all_along` compares positions."""
         if error == "energy":
             return abs(self.errors(one)[error] - self.errors(other)[error])
         return abs(one.observables[error] - other.observables[error]) / self.scale_of(error)
@@ -87,7 +87,7 @@ class ErrorMetric:
             self.limits["energy"] = ROUND_OFF * 10.0
 
     def share(self, error: str) -> float:
-        """Part of the whole run's tolerance left for the measured part: errors of places grow evenly at best, others do not."""
+        """Return the share of the tolerance for the measured part: errors of positions grow at least as the time."""
         return self.part if error == "state" else 1.0
 
     def choose(self, tolerance: float, error: str) -> Errors:
@@ -98,11 +98,11 @@ class ErrorMetric:
         first = error or next(iter(self.limits), "")
         if first not in self.limits:
             there = "; ".join(self.limits) or "none"
-            raise SceneError(f"--error {error or 'any'}: cannot be measured here ({self.why}); there are: {there}")
+            raise SceneError(f"--error {error or 'any'}: cannot be measured here ({self.why}); use one of: {there}")
         finest = {name: limit / self.share(name) for name, limit in self.limits.items()}
         if tolerance < finest[first]:
             finer = [f"{name} {limit:.1g}" for name, limit in finest.items() if name != first]
-            others = f"; --error has {', '.join(finer)}" if finer else ""
+            others = f"; limits with other --error: {', '.join(finer)}" if finer else ""
             below = (
                 f"--tolerance {tolerance:g} is below what can be measured here: {first} {finest[first]:.1g} ({self.why}){others}"
             )

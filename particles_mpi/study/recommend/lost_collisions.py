@@ -1,4 +1,4 @@
-"""How many collisions a scene has, and loses by mode `rewind`: those of its first steps in both modes are counted."""
+"""How many collisions a scene has, and how many mode `rewind` loses: counts those of its first steps in both modes."""
 
 from math import sqrt
 from typing import NamedTuple
@@ -21,19 +21,19 @@ class BesideEvent(NamedTuple):
     same: int = 0
 
     def __str__(self) -> str:
-        """The share that is lost, as far as chance lets it be seen: N collisions scatter by less than the root of N."""
+        """Return a text: the share that is lost, as far as chance lets it be seen: N collisions scatter by less than sqrt(N)."""
         if not self.steps:
-            return "not measured, a step takes too long, or mode event refuses the scene"
+            return "not measured, because a step takes too long or mode event refuses the scene"
         if not self.exact:
-            return f"nothing collides in the first {self.steps} steps"
+            return f"no collision in the first {self.steps} steps"
         if self.same == self.exact:
-            return f"none of the {self.exact} collisions of the first {self.steps} steps is lost, beside mode event"
+            return f"none of the {self.exact} collisions of the first {self.steps} steps is lost, compared with mode event"
         noise, lost = 2.0 / sqrt(self.exact), 1.0 - self.found / self.exact
-        beside = f"of their rate over {self.steps} steps, beside mode event"
+        beside = f"of their rate over {self.steps} steps, compared with mode event"
         if lost > noise:
             return f"collisions are lost, about {lost:.1g} {beside}"
         if not self.same:
-            return f"less than {noise:.1g} of the collisions are lost, as far as {self.exact} in {self.steps} steps can tell"
+            return f"less than {noise:.1g} of the collisions are lost: {self.exact} in {self.steps} steps can show no more"
         return f"none of the first {self.same} collisions is lost, and less than {noise:.1g} {beside}"
 
 

@@ -37,39 +37,39 @@ class Method:
 
     @property
     def ratio(self) -> float:
-        """The factor in the resolution from one setting to the next."""
+        """The factor between the resolutions of one setting and the next."""
         return 10.0 if self.adaptive else 2.0
 
     def steps(self, resolution: float, part: float) -> int:
-        """The number of steps of a part of the run; `adaptive` only stops where a frame is written."""
+        """Return the number of steps of a part of the run; `adaptive` only stops where a frame is written."""
         steps = frames(self.start.scene) if self.adaptive else max(resolution, self.least)
         return whole_parts(part * steps, self.start.snapshots(part))
 
     def whole_steps(self, resolution: float, part: float) -> int:
-        """The number of steps of the whole run, each as long as those of a part (a half, a quarter ...) that was measured."""
+        """Return the number of steps of the whole run, each as long as those of the measured part (a half, a quarter ...)."""
         return round(self.steps(resolution, part) / part)
 
     def scene(self, resolution: float, part: float) -> Scene:
-        """A variant of the scene that ends after a part of the run. SceneError if it is refused."""
+        """Return a variant of the scene that ends after a part of the run. SceneError if it is refused."""
         steps = self.steps(resolution, part)
         time: dict[str, Any] = {"step": part * self.start.duration / steps, "steps": steps, "end": None}
         time |= {"integrator": self.integrator, "tolerance": 1.0 / resolution if self.adaptive else None}
         return variant(self.start.scene, time, self.changes)
 
     def describe(self, resolution: float, part: float) -> str:
-        """Its step, in a part of the run that was measured, or its tolerance, for people."""
+        """Return a text: the step, in a measured part of the run, or the tolerance."""
         if self.adaptive:
             return f"tolerance {1.0 / resolution:.2g}"
         return f"step {self.start.duration / self.whole_steps(resolution, part):.4g}"
 
 
 def frames(scene: Scene) -> float:
-    """How many frames a run writes."""
+    """Return the number of frames that a run writes."""
     return scene.steps / scene.output.every
 
 
 def methods(start: Start) -> list[Method]:
-    """All that the scene allows."""
+    """Return all methods that the scene allows."""
     integrators = ["leapfrog", "order4", "adaptive"] if start.smooth else ["leapfrog"]
     if start.scene.time.integrator == "taylor":
         integrators.append("taylor")
@@ -83,12 +83,12 @@ def methods(start: Start) -> list[Method]:
 
 
 def tree_of(angle: float) -> Changes:
-    """Gravity by a tree of this opening angle."""
+    """Return the changes for gravity by a tree with this opening angle."""
     return {"mutual_gravity": {"method": "tree", "opening_angle": angle, "accuracy": None}}
 
 
 def ways_to_attract(start: Start) -> list[tuple[str, Changes]]:
-    """The direct sum, and trees where they are less work."""
+    """Return the changes for the direct sum, and for trees if they are less work."""
     if "mutual_gravity" not in start.scene.effects:
         return [("", {})]
     options, angles = start.scene.effects["mutual_gravity"], set(OPENING_ANGLES if start.scene.dimension in TREES else ())
@@ -99,7 +99,7 @@ def ways_to_attract(start: Start) -> list[tuple[str, Changes]]:
 
 
 def ways_to_collide(start: Start) -> list[tuple[str, Changes]]:
-    """Mode event, and mode rewind with few passes and many."""
+    """Return the changes for mode event, and for mode rewind with few passes and with many."""
     if "collisions" not in start.scene.effects:
         return [("", {})]
     options = start.scene.effects["collisions"]
@@ -111,7 +111,7 @@ def ways_to_collide(start: Start) -> list[tuple[str, Changes]]:
 
 
 def as_it_is(start: Start) -> tuple[Method, float]:
-    """The scene's own method and resolution; gravity by `auto` counts as what it chooses."""
+    """Return the scene's own method and resolution; gravity by `auto` counts as the method that it chooses."""
     changes: Changes = {}
     scene, name = start.scene, start.scene.time.integrator
     gravity, contact = scene.effects.get("mutual_gravity"), scene.effects.get("collisions")

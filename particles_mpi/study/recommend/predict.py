@@ -1,4 +1,4 @@
-"""What a scene will cost and how wrong it will be, before it runs: what `check` prints.
+"""Predicts what a run will cost and how wrong it will be; `check` prints it.
 
 The first half second of the run is tried, with output, for the forecast of seconds; a short run at steps of h, h/2 and h/4
 gives the errors. Takes two to five seconds. How short it is follows from `counted_seconds`, and from no clock: the errors of a
@@ -49,7 +49,7 @@ CHAOS_AFTER = 15.0  # collisions of a particle, after which its place means noth
 
 @dataclass
 class Prediction:
-    """How long a run takes (None if nothing happens in it, or it stops at once), and how wrong it will be, line by line.
+    """How long a run takes (None if nothing happens, or if it stops at once), and how wrong it will be, line by line.
 
     costs: the share of a step that each effect takes, in words; "" where steps take too long to find out.
     """
@@ -60,13 +60,13 @@ class Prediction:
 
 
 def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
-    """Try a simulation that has just begun, on its ranks, which are those of the benchmark. Collective; the same on all of them.
+    """Try a simulation that has just begun, on its ranks, which are those of the benchmark. Collective; the same on all ranks.
 
     No rank holds more of it than its own share, unless steps are so short that errors can be measured.
     """
     scene, ranks = sim.scene, sim.ranks
     if not sim.total or not scene.steps:
-        return Prediction(None, ["predicted: nothing happens"])
+        return Prediction(None, ["predicted: nothing happens in this run"])
     try:
         start, first, began = sim.copy() if sim.total <= MOST_TO_REPEAT else None, sim.measure(), perf_counter()
         forecast = rehearse(sim)
@@ -86,7 +86,7 @@ def predict(sim: Simulation, benchmark: Benchmark) -> Prediction:
 
 
 def rehearse(sim: Simulation) -> Forecast:
-    """What a trial of the first half second, with output, says of the whole run. Collective.
+    """Return the forecast for the whole run from a trial of its first half second, with output. Collective.
 
     It writes into a folder that is gone afterwards; where runs write theirs, if one may, for disks differ in speed.
     """
@@ -99,12 +99,12 @@ def rehearse(sim: Simulation) -> Forecast:
         job.run()
     forecast: Forecast | None = ranks.bcast(job.forecast)
     if forecast is None:
-        raise Interrupted("stopped before anything could be predicted")
+        raise Interrupted("stopped before the prediction was complete")
     return forecast
 
 
 def costs_of(sim: Simulation, step: float) -> str:
-    """What a step takes less without each effect, in words, measured by turns from the state of now; `step`: its seconds.
+    """Return a text: the time that a step saves without each effect, measured in turn from the present state; `step`: seconds.
 
     Effects share some work (walls are looked for with collisions, for instance), so shares need not add up. Collective.
     """
@@ -136,7 +136,7 @@ def costs_of(sim: Simulation, step: float) -> str:
 
 
 def without_effect(sim: Simulation, name: str) -> Simulation:
-    """A copy in which this effect is switched off, if one is named. Collective."""
+    """Return a copy in which this effect is switched off, if one is named. Collective."""
     twin = sim.copy()
     if name:
         twin.effects[name].active = False
@@ -144,7 +144,8 @@ def without_effect(sim: Simulation, name: str) -> Simulation:
 
 
 def predict_contacts(sim: Simulation, benchmark: Benchmark, step: float) -> list[str]:
-    """What to expect of rates of collisions, and of places after many of them, from the first steps; `step`: seconds of one.
+    """Return lines about the errors of collision rates, and of positions after many collisions, from the first steps;
+    `step`: seconds of one.
     Collective."""
     scene, options, h = sim.scene, sim.scene.effects["collisions"], sim.scene.time.step
     movable = sim.ranks.total(np.count_nonzero(sim.rows.fixed == 0))[0]
@@ -154,19 +155,19 @@ def predict_contacts(sim: Simulation, benchmark: Benchmark, step: float) -> list
     active = sim.active
     forced = active.forces or active.on_velocities or active.events
     if rate == 0.0:
-        return ["predicted error: nothing collides in the first steps"]
+        return ["predicted error: no collision in the first steps"]
     if options.mode == "event":
-        order = "a user's flow between them is first order" if active.flows else "forces between them are second order"
+        order = "in a user's flow they are first order" if active.flows else "the motion between them is second order"
         what = f"; {order} in the step" if forced else ""
         lines = [f"predicted error: contacts are exact in mode event{what}"]
     else:
-        lines = [f"predicted error: {compared} (a particle has {rate * h:.2g} in a step, passes {options.passes})"]
+        lines = [f"predicted error: {compared} ({rate * h:.2g} collisions per particle in a step, passes {options.passes})"]
     many = rate * scene.steps * h
     orderly = scene.dimension == 1 and not forced  # spheres on a line hand their velocities on: errors grow as the time only
     if many > CHAOS_AFTER and not orderly:
         lines.append(
-            f"chaos: {many:.0f} collisions of a particle in all, at the rate of the first steps; after about {CHAOS_AFTER:.0f}, "
-            f"t = {CHAOS_AFTER / rate:.2g}, places mean nothing, means over many do"
+            f"chaos: {many:.0f} collisions per particle in all, at the rate of the first steps; after about {CHAOS_AFTER:.0f}, "
+            f"t = {CHAOS_AFTER / rate:.2g}, positions mean nothing, only averages over many particles do"
         )
     return lines
 
@@ -185,13 +186,13 @@ def energy_change(sim: Simulation, first: dict[str, Any]) -> list[str]:
 
 
 def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
-    """Error of places and of the energy over as much of the run as there is time for, and its order; `step`: seconds of one."""
+    """Return a line: errors of positions and energy over as much of the run as time allows; `step`: seconds of one."""
     if scene.steps < LEAST_SNAPSHOTS:
         return [f"predicted error: not measured, the run has fewer than {LEAST_SNAPSHOTS} steps"]
     adaptive = scene.time.integrator == "adaptive"
     runs, steps = 1 + 1 if adaptive else 1 + 2 + 4, LEAST_SNAPSHOTS  # at h, h/2 and h/4
     if 2.0 * runs * steps * step > MOST_ERROR_SECONDS:  # snapshots cost as much as steps
-        return ["predicted error: not measured, a step takes too long; study recommend tells"]
+        return ["predicted error: not measured, because a step takes too long; use study recommend"]
     start = Start(benchmark, scene)
     while True:
         snapshots = start.snapshots(steps / scene.steps)
@@ -206,19 +207,19 @@ def predict_steps(benchmark: Benchmark, scene: Scene, step: float) -> list[str]:
 
 
 def error_of_tree(start: Start, record: Record, steps: int) -> str:
-    """How far a run with a tree is from one by the direct sum in the same steps, in words; "" where no tree is used."""
+    """Return a text: how far a run with a tree is from one with the direct sum in the same steps; "" if no tree is used."""
     gravity = start.scene.effects.get("mutual_gravity")
     if not (gravity and gravity.active and gravity.choice(start.scene, start.total).angle):
         return ""
     if start.total > MOST_FOR_DIRECT_SUM:
-        return "; the error of the tree comes on top of it"
+        return "; the error of the tree is added to it"
     snapshots = len(record.places)
     exact = follow(start, start.simulate(refined(start.scene, steps, 0, DIRECT)), snapshots)
-    return f"; by the tree, {start.apart(record.places, exact.places) / record.motion:.1g} more"
+    return f"; the tree adds {start.apart(record.places, exact.places) / record.motion:.1g}"
 
 
 def refined(scene: Scene, steps: int, halvings: int, effects: Changes | None = None) -> Scene:
-    """The scene's first `steps`, each cut into 2^halvings; `adaptive` with a tolerance that much tighter, by tens, from its
+    """Return the scene's first `steps`, each cut into 2^halvings; for `adaptive` with a tolerance 10^halvings tighter, from its
     own one, or ten times the tightest, on."""
     time: dict[str, Any] = {"steps": steps, "end": None}
     if scene.time.integrator == "adaptive":
@@ -230,7 +231,7 @@ def refined(scene: Scene, steps: int, halvings: int, effects: Changes | None = N
 
 
 def describe_differences(start: Start, records: list[Record], span: float) -> str:
-    """Richardson's estimate, from runs at steps of h, h/2 and h/4 over a `span`, in words; of `adaptive`, what a tighter
+    """Return Richardson's estimate as text, from runs at steps h, h/2 and h/4 over a `span`; for `adaptive`, what a tighter
     tolerance changes.
 
     With the differences d1 of h and h/2, d2 of h/2 and h/4, the order is p = log2(d1/d2), the error of h is d1 2^p/(2^p - 1).
@@ -238,22 +239,23 @@ def describe_differences(start: Start, records: list[Record], span: float) -> st
     size, where = records[0].motion, f"t = {span:.3g}"
     one, *finer = (start.apart(a.places, b.places) / size for a, b in pairwise(records))
     if start.scene.time.integrator == "adaptive":
-        return f"predicted error: places {max(one, ROUND_OFF):.1g} of the size of the motion at {where}, by a tighter tolerance"
+        wrong = f"positions wrong by {max(one, ROUND_OFF):.1g} of the size of the motion at {where}"
+        return f"predicted error: {wrong}, as a tighter tolerance shows"
     (two,) = finer
-    later = "later ones are not measured" if span <= 0.99 * start.duration else ""
+    later = "not measured later" if span <= 0.99 * start.duration else ""
     left_out = start.untravelled(span / records[0].steps) / size
     largest = float(np.abs(records[0].places).max(initial=0.0))
     round_off = max(1e3, records[-1].steps * largest / size) * ROUND_OFF
     if left_out > max(one, two):
-        stops = f"places {left_out:.1g} of the size of the motion, for drag stops particles within a step"
+        stops = f"positions wrong by {left_out:.1g} of the size of the motion, because drag stops particles within a step"
         return f"predicted error: {stops}" + (f" ({later})" if later else "")
     if one <= two or two <= 100.0 * ROUND_OFF or max(one, two) <= 1e3 * ROUND_OFF:
-        coarse = f"about {max(one, two):.1g} of the size of the motion, of no order: steps are too long"
+        coarse = f"about {max(one, two):.1g} of the size of the motion, without an order: steps are too long"
         what = "round-off only" if max(one, two) <= round_off else coarse
-        return f"predicted error: places at {where}: {what}" + (f" ({later})" if later else "")
+        return f"predicted error: positions at {where}: {what}" + (f" ({later})" if later else "")
     order = log2(one / two)
     error = one * 2.0**order / (2.0**order - 1.0)
-    line = f"predicted error: places {error:.1g} of the size of the motion at {where}, order {order:.1f}"
+    line = f"predicted error: positions wrong by {error:.1g} of the size of the motion at {where}, order {order:.1f}"
     if later:
         line += f" ({later}: {error * start.duration / span:.1g} at the end if errors grow evenly)"
     if start.conserves and start.forces:

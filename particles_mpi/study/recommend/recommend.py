@@ -1,4 +1,4 @@
-"""The cheapest setting of a scene that reaches a tolerance: searched, timed fairly, verified at half the step, written down."""
+"""Finds the cheapest setting of a scene that reaches a tolerance: searches, times fairly, verifies at half the step, writes."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -47,7 +47,7 @@ class Recommendation:
 def recommend(
     benchmark: Benchmark, scene: Scene, tolerance: float, error: str = "", seconds: float = BUDGET_SECONDS
 ) -> Recommendation | None:
-    """Find it. Collective; a few bodies are computed on rank 0 alone, and other ranks get None.
+    """Find the recommendation. Collective; few bodies are computed on rank 0 alone, and other ranks get None.
 
     SceneError if the tolerance cannot be measured, StoppedError if nothing in these seconds reaches it.
     """
@@ -62,7 +62,7 @@ def recommend(
 
 
 def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommendation:
-    """The same, on the ranks of the start's benchmark."""
+    """Do what `recommend` describes, on the ranks of the start's benchmark."""
     benchmark, ways, (as_given, resolution) = start.benchmark, methods(start), as_it_is(start)
     for method in (as_given, *ways):
         method.least = frames(start.scene)
@@ -97,14 +97,14 @@ def find(start: Start, tolerance: float, error: str, seconds: float) -> Recommen
         if confirmed and (best is None or confirmed[0].timed.median < best[0].timed.median):
             best = confirmed
     if best is None:
-        raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only: half the step does not confirm " + dropped[0])
+        raise StoppedError(f"--tolerance {tolerance:g}: reached by chance only, half the step does not confirm it: " + dropped[0])
     trial, finer, difference = best
     tables = tuned(start.scene, trial.scene, trial.method.whole_steps(trial.resolution, metric.part))
     return Recommendation(tolerance, trial, tables, finer.errors, difference, [trial, *left], dropped, search)
 
 
 def enter_times(start: Start, trials: list[Trial], part: float) -> None:
-    """Seconds of the whole run into trials of a part of it, measured by turns. Collective."""
+    """Measure the seconds of trials in turn, and enter those of the whole run. Collective."""
     short = all(trial.seconds < SHORT_RUN_SECONDS for trial in trials)
     rows = time_trials(start, trials, min(start.benchmark.sample_seconds, SHORT_RUN_SECONDS) if short else None)
     for trial, row in zip(trials, rows, strict=True):
@@ -112,7 +112,7 @@ def enter_times(start: Start, trials: list[Trial], part: float) -> None:
 
 
 def nearest(search: Search) -> str:
-    """The best of what was tried, in words."""
+    """Return a text: the best of what was tried."""
     tried = [trial for trial in search.trials if isfinite(search.size(trial.errors))]
     if not tried:
         return "; ".join(f"{name}: {why}" for name, why in search.refused.items())
@@ -121,25 +121,25 @@ def nearest(search: Search) -> str:
 
 
 def report(screen: Screen, found: Recommendation) -> None:
-    """All of it on the screen."""
+    """Print the whole recommendation."""
     search, trial, s, say = found.search, found.best, found.best.timed, screen.say
     metric, names = search.metric, ", ".join(search.tolerances)
     scene, method = metric.start.scene, trial.method
-    say(f": {metric.start.total} particles, {names} to {found.tolerance:g}", head=scene.title or "untitled scene")
+    say(f": {metric.start.total} particles, wanted: {names} within {found.tolerance:g}", head=scene.title or "untitled scene")
     finest = ", ".join(f"{name} {metric.limits[name]:.1g}" for name in search.tolerances)
     say(f"  reference: {metric.reference}; the smallest errors that can be measured: {finest} ({metric.why})")
     if left_out := [f"{name} {limit:.1g}" for name, limit in metric.limits.items() if name not in search.tolerances]:
-        say(f"  no tolerance for what was not asked for, or cannot be measured so finely: {', '.join(left_out)}")
+        say(f"  not compared with the tolerance (not asked for, or not measurable so finely): {', '.join(left_out)}")
     if metric.part < 1.0:
         say(
-            f": a reference of all of it would take too long; {search.described(search.tolerances)} there are enough",
+            f": a reference for the whole run takes too long; errors there must be within {search.described(search.tolerances)}",
             head=f"  errors are those of the first 1/{1 / metric.part:.0f} of the run (t = {metric.span:.4g})",
         )
     screen.table(trials_table(found))
     for name, why in found.search.refused.items():
         say(f"  {name}: {why}")
     for name in found.dropped:
-        say(f"  {name}: reaches it at the snapshots, or by chance: half the step does not confirm it")
+        say(f"  {name}: not confirmed at half the step: reaches it only at the snapshots, or by chance")
     steps = method.whole_steps(trial.resolution, metric.part)
     finer, tolerance = "half the step", ""
     if method.adaptive:
@@ -152,11 +152,13 @@ def report(screen: Screen, found: Recommendation) -> None:
     differ = f"{found.difference:.2g} at most" + (", in every step" if search.places else "")
     say(f"  verified at {finer}: {search.described(found.half)}; the two runs differ by {differ}")
     if metric.part < 1.0:
-        say(f"  not verified after t = {metric.span:.4g}: errors may grow faster there; --seconds gives time for more of the run")
+        say(
+            f"  not verified after t = {metric.span:.4g}: errors may grow faster there; a larger --seconds covers more of the run"
+        )
 
 
 def trials_table(found: Recommendation) -> Table:
-    """All settings that were tried, with the times of those that were compared; the best is bold."""
+    """Return a table of all settings that were tried, with the times of those that were compared; the best is bold."""
     names, trials = found.search.metric.limits, sorted(found.search.trials, key=lambda t: (t.method.name, t.resolution))
     works = [name for name in WORK_TITLES if any(trial.work[name] for trial in trials)]
     table = numbers_table("setting", *names, "seconds", *(WORK_TITLES[name] for name in works))
@@ -171,11 +173,11 @@ def trials_table(found: Recommendation) -> Table:
 def recommend_scene(
     path: Path, tolerance: float, error: str = "", output: Path | None = None, seconds: float = BUDGET_SECONDS
 ) -> Recommendation | None:
-    """What `study recommend` does: find it, print it, write the tuned scene (to NAME.tuned.toml by default). Collective."""
+    """Do what `study recommend` does: find, print, and write the tuned scene (by default to NAME.tuned.toml). Collective."""
     benchmark, target = Benchmark(quiet=False), output or path.with_suffix(".tuned.toml")
     scene = load(path)
     if target.resolve() == path.resolve():
-        raise SceneError(f"--output {target}: is the scene itself")
+        raise SceneError(f"--output {target}: is the scene file itself; choose another file")
     found = recommend(benchmark, scene, tolerance, error, seconds)
     if found:
         report(benchmark.screen, found)

@@ -43,14 +43,14 @@ REFERENCE_SHARE = 1.0 / 3.0  # of the seconds given are for the reference
 
 
 def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
-    """The error metric of a scene, in about a third of the seconds given; of its first part if they are too few. Collective.
+    """Return the error metric of a scene, in a third of the seconds given; of its first part if they are too few. Collective.
 
     All seconds here are `counted_seconds`, so that the reference is the same each time and on any ranks.
 
     `error`: the only one that matters; the energy of the start needs no better solution.
     """
     if start.total == 0 or start.scene.steps == 0:
-        raise SceneError("particles: nothing moves in this scene: there is nothing to measure")
+        raise SceneError("particles: nothing moves in this scene, so there is nothing to measure")
     seconds = REFERENCE_SHARE * seconds
     if start.conserves and not start.contacts and start.forces and (error == "energy" or start.total > MOST_FOR_DIRECT_SUM):
         return by_conserved_energy(start, seconds)
@@ -63,13 +63,13 @@ def reference(start: Start, seconds: float, error: str = "") -> ErrorMetric:
 
 
 def exact_scene(start: Start, steps: int, duration: float, **time: Any) -> Scene:
-    """The scene with contacts in order of time and forces over all pairs, in so many steps; `time`: other keys of [time]."""
+    """Return the scene with contacts in order of time, forces over all pairs, and so many steps; `time`: other keys of [time]."""
     default = {"end": None, "integrator": "leapfrog", "tolerance": None}
     return variant(start.scene, default | {"step": duration / steps, "steps": steps, **time}, EVENT | DIRECT)
 
 
 def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:
-    """An empty error metric over the part of the run that can be measured: all of it, or a half, a quarter and so on.
+    """Return an empty error metric over the part of the run that can be measured: all, a half, a quarter and so on.
 
     `cost`: counted seconds that a unit of simulated time takes; `seconds`: how many there are.
     """
@@ -80,7 +80,7 @@ def affordable(start: Start, cost: float, seconds: float) -> ErrorMetric:
 
 
 def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> float:
-    """Seconds that a unit of time takes: over `seconds` of steps, each `longer` than the last. Collective."""
+    """Return the seconds per unit of simulated time, from `seconds` of steps, each `longer` than the last. Collective."""
     sim.step()
     passed, spent, rates, number, before = 0.0, 0.0, [0.0], 1, counted_seconds(sim)
     while spent < seconds and passed < start.duration:
@@ -95,7 +95,7 @@ def cost(start: Start, sim: Simulation, seconds: float, longer: float = 1.0) -> 
 
 
 def by_order_15(start: Start, seconds: float) -> ErrorMetric | None:
-    """Reference by `adaptive`, where paths are smooth; None where it does not get through."""
+    """Return a reference by `adaptive`, if paths are smooth; None if it does not get through."""
 
     def simulate_adaptive(tolerance: float, duration: float, snapshots: int, shifted: int = 0) -> Simulation:
         scene = exact_scene(start, STOPS * snapshots, duration, integrator="adaptive", tolerance=tolerance)
@@ -125,7 +125,7 @@ def by_order_15(start: Start, seconds: float) -> ErrorMetric | None:
 
 
 def by_steps(start: Start, seconds: float) -> ErrorMetric:
-    """Reference by ever shorter steps of the leapfrog, extrapolated; of an ensemble where motion is chaotic."""
+    """Return a reference by ever shorter leapfrog steps, extrapolated; from an ensemble if motion is chaotic."""
     probe = start.simulate(exact_scene(start, start.scene.steps, start.duration))
     fine = ENSEMBLE_REFINEMENT if start.forces or start.dissipates else 1  # contacts alone are exact at any step
     price = cost(start, probe, 0.02 * seconds)
@@ -155,7 +155,7 @@ def by_steps(start: Start, seconds: float) -> ErrorMetric:
 
 
 def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> tuple[Array, float, Record]:
-    """(places and energies at steps of length zero, how far they may be off, the last run), by halving steps."""
+    """Return (positions and energies at steps of length zero, how far they may be off, the last run), by halving steps."""
     start = found.start
     limit = max(found.growth, 1.0) * ROUND_OFF * found.size
     records, column = [first], [places_and_energies(first, first, start.length)]
@@ -172,7 +172,7 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
     one, two = (start.apart(a.places, b.places) for a, b in pairwise(records[:3]))
     has_order = min(one, two) > limit
     found.order = float(np.log2(one / two)) if has_order else nan
-    seen = f"order {found.order:.2f}" if has_order else "no error of the step"
+    seen = f"order {found.order:.2f}" if has_order else "the step makes no error"
     found.reference = f"{method_in_words(start)}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"
     before, after = (float(np.abs(new - old).max(initial=0.0)) for old, new in pairwise(column[-3:]))
     if after > NOISE * limit and before < after * 2.0**LEAST_ORDER:  # not of second order: the rest is a series of such changes
@@ -181,18 +181,18 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
 
 
 def method_in_words(start: Start) -> str:
-    """How `exact_scene` computes, in a word."""
+    """Return the method of `exact_scene` in one word."""
     return "event" if "collisions" in start.scene.effects else "leapfrog"
 
 
 def places_and_energies(record: Record, first: Record, length: Array) -> Array:
-    """Places and energies in a row; on periodic axes the image that is nearest to the first."""
+    """Return positions and energies in one array; on periodic axes the image that is nearest to the first."""
     x = record.places - image_shifts(record.places - first.places, length)
     return np.concatenate([x.ravel(), record.energy])
 
 
 def extrapolated(column: list[Array]) -> tuple[Array, float]:
-    """The limit of values at steps h, h/2, h/4 ... with an error in even powers of h (Romberg), and how much it may be wrong.
+    """Return the limit of values at steps h, h/2, h/4 ... with errors in even powers of h (Romberg), and its uncertainty.
 
     Where higher powers do not help (corners in a motion) fewer are taken: those whose last two values are closest.
     """
@@ -209,23 +209,23 @@ def extrapolated(column: list[Array]) -> tuple[Array, float]:
 
 
 def set_limits(found: ErrorMetric, record: Record, parted: float, uncertainty: float) -> None:
-    """Resolution limits of a reference that may be wrong by `uncertainty`, while a displaced start ends `parted` from it
+    """Set the resolution limits of a reference that may be wrong by `uncertainty`; a displaced start ends `parted` from it
     (both lengths)."""
     found.size = record.motion
     found.growth = parted / (DISPLACEMENT * found.size)
     found.places = record.places
     chaos, own = max(found.growth, 1.0) * ROUND_OFF, uncertainty / found.size
     if found.growth * DISPLACEMENT > SATURATED or own > SATURATED:
-        found.why = f"chaos: starts {DISPLACEMENT:g} of the size apart end {found.growth * DISPLACEMENT:.1g} of it apart"
+        found.why = f"chaos: starts that are {DISPLACEMENT:g} of the size apart end {found.growth * DISPLACEMENT:.1g} of it apart"
     else:
         found.limits["state"] = 2.0 * (chaos + own)
-        sensitive = f"chaos: a displaced start ends {found.growth:.2g} times as far away"
+        sensitive = f"round-off: a displaced start ends {found.growth:.2g} times as far away"
         found.why = sensitive if chaos > own else f"two references differ by {own:.1g}"
     found.add_energy(record)
 
 
 def by_conserved_energy(start: Start, seconds: float) -> ErrorMetric:
-    """The energy alone, which must not change: as long as the scene's own steps are affordable some times over."""
+    """Return a metric of the energy alone, which must not change, over as many of the scene's own steps as are affordable."""
     probe = start.simulate(start.scene)
     rows = [probe.measure()]
     found = affordable(start, 8.0 * cost(start, probe, 0.05 * seconds), seconds)
@@ -238,7 +238,7 @@ def by_conserved_energy(start: Start, seconds: float) -> ErrorMetric:
 
 
 def by_ensemble(found: ErrorMetric, first: Record, steps: int, fine: int) -> ErrorMetric:
-    """Observables of runs whose starts differ by next to nothing: their mean, and their spread as the resolution limit."""
+    """Return a metric of observables: the mean of runs with nearly equal starts, and their spread as the resolution limit."""
     start, members = found.start, ENSEMBLE_SIZE // 2 if found.start.benchmark.quick else ENSEMBLE_SIZE
     scene = exact_scene(start, steps * fine, found.span)
     runs = [
@@ -258,5 +258,5 @@ def by_ensemble(found: ErrorMetric, first: Record, steps: int, fine: int) -> Err
         found.add_energy(first)
     found.reference = f"{method_in_words(start)}, steps of 1/{fine}, mean of {members} runs"
     why = found.why or "chaos"
-    found.why = f"{why}: {members} runs from starts {ENSEMBLE_DISPLACEMENT:g} apart differ by so much"
+    found.why = f"{why}: {members} runs from starts {ENSEMBLE_DISPLACEMENT:g} apart differ by that"
     return found

@@ -50,7 +50,7 @@ class TooLongError(StoppedError):
 
 
 def counted_seconds(sim: Simulation) -> float:
-    """Seconds of all that a simulation has done so far, by the work that it has counted, on any ranks. Collective.
+    """Return the seconds of all that a simulation has done, estimated from its counted work, on any ranks. Collective.
 
     How much of a scene is measured, and against how good a reference, depends on what that takes. A clock would let it depend on
     the machine and on the hour, and so would the errors that a study tells. These seconds are right within a factor of three in
@@ -65,7 +65,7 @@ def counted_seconds(sim: Simulation) -> float:
 
 
 def variant(scene: Scene, time: dict[str, Any], effects: Changes | None = None) -> Scene:
-    """The scene with other keys of [time] and of effects; one that is None takes its default. SceneError if that is refused."""
+    """Return the scene with other keys of [time] and of effects; None means the default. SceneError if that is refused."""
 
     def changed(table: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
         return {key: value for key, value in (table | changes).items() if value is not None}
@@ -101,19 +101,19 @@ class Start:
         self.middle = self.particles.position[self.movable].mean(axis=0) if self.movable.any() else np.zeros(scene.dimension)
 
     def snapshots(self, part: float) -> int:
-        """How many are taken in a part of the run: as many as may be, so that the steps of the scene are about a multiple."""
+        """Return the number of snapshots in a part of the run: the most for which the scene's steps are about a multiple."""
         steps = max(part * self.scene.steps, 1.0)
         numbers = range(min(MOST_SNAPSHOTS, MOST_PLACES // max(self.total, 1)), LEAST_SNAPSHOTS, -1)
         exact = (k for k in numbers if 2 * k >= numbers[0] and steps % k == 0.0) if numbers else ()
         return next(iter(exact), next((k for k in numbers if whole_parts(steps, k) <= ROUNDED_UP * steps), LEAST_SNAPSHOTS))
 
     def on_few(self, work: Callable[[Start], Any]) -> Any:
-        """`work(self)`; for few bodies, which more ranks would only slow down, on rank 0 alone: None elsewhere. Collective."""
+        """Return `work(self)`; for few bodies, which more ranks would slow down, on rank 0 alone: None elsewhere. Collective."""
         few = self.total <= FEW_PARTICLES
         return self.benchmark.on_few(few, lambda b: work(self if b is self.benchmark else Start(b, self.scene)))
 
     def simulate(self, scene: Scene, shifted: int = 0, duration: float = 0.0, amount: float = DISPLACEMENT) -> Simulation:
-        """The start in a variant of the scene. Collective. SceneError if it cannot run.
+        """Return the simulation of a variant of the scene. Collective. SceneError if it cannot run.
 
         `shifted`: the number of a start that is displaced by `amount` of the size of what moves; in a scene with contacts by so
         much of the velocities, so that nothing overlaps; `duration` of what follows tells how fast something at rest is.
@@ -155,13 +155,13 @@ class Start:
         return float((beyond / k * np.abs(1.0 - np.exp(-k * h) - k * h * np.exp(-0.5 * k * h))).max())
 
     def apart(self, one: Array, other: Array) -> float:
-        """The largest distance of any particle in one from itself in the other, over all snapshots; the shorter way round."""
+        """Return the largest distance of any particle between two runs over all snapshots; the shorter way in a periodic box."""
         away = one - other
         away -= image_shifts(away, self.length)
         return float(np.sqrt((away**2).sum(axis=-1)).max(initial=0.0))
 
     def spread(self, sim: Simulation) -> float:
-        """Mean square distance of the particles that can move from the middle of them at the start. Collective."""
+        """Return the mean square distance of the movable particles from their centre at the start. Collective."""
         p = sim.particles
         away = float(((p.position[p.fixed == 0] - self.middle) ** 2).sum())
         return float(sim.ranks.allreduce_sum(np.array([away]))[0]) / max(int(self.movable.sum()), 1)
@@ -189,7 +189,7 @@ class Record:
 
 
 def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.inf) -> Record:
-    """Run a simulation to the end of its scene. Collective; TooLongError after `patience` `counted_seconds`."""
+    """Run a simulation to its end, and return its record. Collective; TooLongError after `patience` `counted_seconds`."""
     steps, began = sim.scene.steps, perf_counter()
     snapshot_steps, energy_steps = steps // snapshots, max(1, steps // ENERGY_SAMPLES)
     looks = {max(1, round(steps * (k * GOLDEN % 1.0))) for k in range(LOOKS)}
@@ -220,7 +220,7 @@ def follow(start: Start, sim: Simulation, snapshots: int, patience: float = np.i
 
 
 def apart_all_along(start: Start, coarse: Scene, fine: Scene) -> float:
-    """The largest distance of any particle in one run from itself in another, whose steps are so many times shorter.
+    """Return the largest distance of any particle between one run and another whose steps are so many times shorter.
 
     Over all steps of the coarse one, or as many of them as MOST_COMPARED allows: snapshots may all lie where nothing moves.
     Collective.
@@ -238,16 +238,16 @@ def apart_all_along(start: Start, coarse: Scene, fine: Scene) -> float:
 
 
 def total_and_kinetic(sim: Simulation) -> tuple[float, float]:
-    """Total and kinetic; the kinetic alone where a force along a periodic axis leaves the total without a meaning."""
+    """Return total and kinetic energy; the kinetic one twice if a force along a periodic axis has no potential."""
     row = sim.measure()
     return row["total_energy"] if isfinite(row["total_energy"]) else row["kinetic"], row["kinetic"]
 
 
 def whole_parts(steps: float, snapshots: int) -> int:
-    """The number of steps, not less, that a number of snapshots divides."""
+    """Return the least number of steps, not below this one, that a number of snapshots divides."""
     return snapshots * max(1, int(np.ceil(steps / snapshots * (1.0 - 1e-12))))
 
 
 def rms_distance(x: Array, center: Array) -> float:
-    """Root of the mean square distance from a point."""
+    """Return the root mean square distance from a point."""
     return float(np.sqrt(((x - center) ** 2).sum(axis=-1).mean())) if len(x) else 0.0

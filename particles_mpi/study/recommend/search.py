@@ -1,4 +1,4 @@
-"""The cheapest resolution of a method that reaches a tolerance: searched by factors of two, then by the order seen."""
+"""Searches the cheapest resolution of a method that reaches a tolerance: by factors of two, then by the observed order."""
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -49,7 +49,7 @@ class Trial:
 
 
 def time_trials(start: Start, trials: list[Trial], sample_seconds: float | None = None) -> list[Row]:
-    """Trials with their times and the orders observed; `sample_seconds`: of a sample, at least. Collective."""
+    """Return rows of trials with times and observed orders; `sample_seconds`: the least seconds of a sample. Collective."""
     benchmark = start.benchmark
     progress = benchmark.screen.count("time", len(trials) * (1 + benchmark.samples))
 
@@ -88,31 +88,25 @@ class Search:
         """Is each error below its tolerance, even if it is larger by half of the resolution limit?"""
         return all(errors[name] + 0.5 * self.metric.limits[name] <= most for name, most in self.tolerances.items())
 
-    def worst(self, errors: Errors) -> str:
-        """Return the name of the error that is the largest part of its tolerance, or that is no number."""
-        parts = {name: errors[name] / most for name, most in self.tolerances.items()}
-        return max(parts, key=lambda name: parts[name] if isfinite(parts[name]) else inf)
-
     def size(self, errors: Errors) -> float:
-        """Return the largest error, so that it is below `tolerance` if each is below its own; inf if one is no number."""
-        name = self.worst(errors)
-        found = self.tolerance * errors[name] / self.tolerances[name]
-        return found if isfinite(found) else inf
+        """Return the largest error, scaled so that it is below `tolerance` if each is below its own; inf if one is not finite."""
+        parts = [errors[name] / most for name, most in self.tolerances.items()]
+        return self.tolerance * max(parts) if all(map(isfinite, parts)) else inf
 
     def described(self, errors: Errors) -> str:
         """Return these errors, as far as there are tolerances for them, in words."""
         return ", ".join(f"{name} {errors[name]:.2g}" for name in self.tolerances)
 
     def left(self) -> float:
-        """Seconds, on the slowest rank. Collective."""
+        """Return the seconds that are left, on the slowest rank. Collective."""
         return self.seconds - self.start.benchmark.ranks.largest(perf_counter() - self.began)[0]
 
     def patience(self) -> float:
-        """Seconds that a trial may take: with no setting that reaches the tolerance all that are left."""
+        """Return the seconds that a trial may take: all that are left, if no setting reaches the tolerance yet."""
         return min(max(self.left(), NEGLIGIBLE_SECONDS), max(3.0 * self.best, 5.0 * NEGLIGIBLE_SECONDS))
 
     def attempt(self, method: Method, resolution: float, patience: float = inf) -> Trial | None:
-        """Try a setting; None where it is refused, or stops, or takes too long. Collective."""
+        """Try a setting; returns None if it is refused, stops, or takes too long. Collective."""
         resolution = resolution if method.adaptive else float(method.whole_steps(resolution, self.metric.part))
         try:
             scene = method.scene(resolution, self.metric.part)
@@ -126,7 +120,7 @@ class Search:
         except (SceneError, StoppedError) as error:
             await_all(self.start.benchmark.ranks, error)
             self.too_long = isinstance(error, TooLongError)
-            why = "dearer than others, or no time left" if self.too_long else str(error).splitlines()[0]
+            why = "more expensive than others, or no time left" if self.too_long else str(error).splitlines()[0]
             self.refused[f"{method.name}, {method.describe(resolution, self.metric.part)}"] = why
             return None
         work = {kind: count - before[kind] for kind, count in sim.work().items()}
@@ -137,7 +131,7 @@ class Search:
         return trial
 
     def along(self, method: Method, resolution: float) -> None:
-        """Bracket the tolerance by factors from a first setting on, then go to where it is just reached. Collective."""
+        """Bracket the tolerance by factors from a first setting on, then find where it is just reached. Collective."""
         if not method.adaptive:  # one step first, in which kernels are loaded; `adaptive` has none of its own, and long steps
             with suppress(SceneError, StoppedError):
                 self.start.simulate(method.scene(resolution, self.metric.part)).step()
@@ -161,7 +155,7 @@ class Search:
         """May a finer setting than these two help and still be the cheapest, and is there time for it?"""
         why = ""
         if fine and coarse and self.size(fine.errors) * LEAST_GAIN > self.size(coarse.errors) and self.size(coarse.errors) < 0.1:
-            why = f"no better by shorter steps than {self.described(fine.errors)}"
+            why = f"shorter steps get no better than {self.described(fine.errors)}"
         elif method.adaptive and resolution > FINEST * 1.01:
             why = f"reaches no better than tolerance {1.0 / FINEST:.0e}"
         elif fine is None:
@@ -170,13 +164,13 @@ class Search:
         else:
             seconds = fine.seconds * (1.0 if method.adaptive else method.ratio)
             if seconds > max(GIVEN_UP_FACTOR * self.best, NEGLIGIBLE_SECONDS) or seconds > self.left():
-                why = "dearer than others" if isfinite(self.best) else "no time to try shorter steps"
+                why = "more expensive than others" if isfinite(self.best) else "no time to try shorter steps"
         if why:
             self.refused[method.name] = why
         return not why
 
     def refine(self, coarse: Trial, fine: Trial) -> None:
-        """Between a setting that fails and one that does not, the one that the order between the two predicts."""
+        """Try, between a setting that fails and one that does not, the one that the order between the two predicts."""
         low, high = coarse.resolution, fine.resolution
         more, less = self.size(coarse.errors), self.size(fine.errors)
         if not isfinite(more) or not more > less > 0.0 or self.left() < 0.0:
@@ -193,7 +187,7 @@ class Search:
             aim *= (error / (AIMED_SHARE * self.tolerance)) ** (1.0 / order) if isfinite(error) else 1.1
 
     def confirm(self, trial: Trial) -> tuple[Trial, Trial, float] | None:
-        """(this setting or a finer one, the one at half its step, how far these are apart); None where none is confirmed.
+        """Return (this setting or a finer one, the one at half its step, their distance); None if none is confirmed.
 
         A setting is confirmed if half the step reaches the tolerance too, and the two are not further apart than the tolerance:
         places in every step, and not at the snapshots only; other errors, which chance is in, twice as far. Collective.
@@ -223,8 +217,10 @@ class Search:
             trial = next_
 
     def finalists(self) -> list[Trial]:
-        """Those that may be the cheapest: the coarsest of each method that reaches the tolerance; with contacts, which are found
-        at a price that depends on the step in other ways, the two quickest."""
+        """Return the trials that may be the cheapest: the coarsest of each method that reaches the tolerance.
+
+        With contacts, whose cost depends on the step in other ways, they are the two quickest.
+        """
         found, contacts = [], "collisions" in self.start.scene.effects
         for method in {id(trial.method): trial.method for trial in self.trials}.values():
             good = [t for t in self.trials if t.method is method and self.reached(t.errors)]
@@ -233,7 +229,7 @@ class Search:
         return [trial for trial in found if trial.seconds <= max(RETIMED_FACTOR * quickest, NEGLIGIBLE_SECONDS)]
 
     def first(self, method: Method, own: Trial | None) -> float:
-        """The resolution at which a method begins: by what is known of the scene as it is, and of orders."""
+        """Return the resolution at which a method begins, from the errors of the scene's own setting and from orders."""
         if method.adaptive:
             return float(10.0 ** min(max(round(-0.5 * log10(self.tolerance)) + 2, 3), 9))
         steps = float(max(self.start.scene.steps, LEAST_SNAPSHOTS))

@@ -1,4 +1,4 @@
-"""A scene file with other settings, and all else as its author wrote it, remarks included."""
+"""Writes a scene file with other settings, and everything else as its author wrote it, remarks included."""
 
 import os
 from pathlib import Path
@@ -15,7 +15,7 @@ OUTPUT_PERIODS = ("every", "diagnostics_every", "checkpoint_every")
 
 
 def tuned(scene: Scene, variant: Scene, steps: int) -> Tables:
-    """The tables of a scene with the settings of a variant of it, for a whole run in `steps`, with about as many frames."""
+    """Return the tables of a scene with the settings of a variant, for a whole run in `steps`, with about as many frames."""
     tables, new = scene.to_dict(), variant.to_dict()
     step = scene.steps * scene.time.step / steps
     tables["time"] = {key: value for key, value in new["time"].items() if key not in ("step", "steps", "end")}
@@ -30,7 +30,7 @@ def tuned(scene: Scene, variant: Scene, steps: int) -> Tables:
 
 
 def written(tables: Tables, source: Path, target: Path, remark: str) -> str:
-    """The text of `source` with the values of `tables` instead of its own, and `remark` as its first line.
+    """Return the text of `source` with the values of `tables` instead of its own, and `remark` as its first line.
 
     Files that the scene names are looked for beside the scene: a target in another folder needs other names for them.
     """
@@ -44,12 +44,12 @@ def written(tables: Tables, source: Path, target: Path, remark: str) -> str:
     except (TOMLKitError, SceneError):
         faithful = False
     if not faithful:
-        raise SceneError(f"{target}: the tuned scene does not come back as it should")
+        raise SceneError(f"{target}: the tuned scene is not the same when it is read again; nothing was written")
     return f"# {remark}\n{text}"
 
 
 def moved(value: Any, old: Path, new: Path) -> Any:
-    """A value of a scene, with the names of files in all of its tables relative to another folder: the same files."""
+    """Return a value of a scene with file names relative to another folder, so that they name the same files."""
     if isinstance(value, list):
         return [moved(one, old, new) for one in value]
     if not isinstance(value, dict):
@@ -58,7 +58,7 @@ def moved(value: Any, old: Path, new: Path) -> Any:
 
 
 def enter(document: Any, old: Tables, new: Tables) -> None:
-    """Enter into the tables of a TOML document what is other in `new` than in `old`, and nothing else."""
+    """Enter into the tables of a TOML document the values that differ between `new` and `old`, and nothing else."""
     for key in (key for key in {**new, **old} if old.get(key) != new.get(key)):
         before, after = old.get(key), new.get(key)
         if after is None:

@@ -1,4 +1,4 @@
-"""How a scene scales over ranks: strong and weak scaling, measured, and a model that goes on to more ranks.
+"""How a scene scales over ranks: measures strong and weak scaling, and extrapolates to more ranks by a model.
 
 measure            `study scaling`: seconds, phases and counts of a step on some of the ranks, while the others sleep
 scale_scene        a scene with more particles at the same density

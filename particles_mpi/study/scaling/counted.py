@@ -44,14 +44,14 @@ COLUMNS = {
     "fetches": "searches", "ghosts": "ghost rows", "memory": "memory, MB", "memory_start": "memory of set-up, MB",
 }  # fmt: skip
 CAUSES = {
-    "bytes_rows": "rows of ghosts or of a tree, and what is sent of each",
-    "bytes_counts": "in every exchange each rank tells all others how many rows come: P - 1 numbers",
-    "bytes_gathers": "each rank sends its box, or what went wrong, to all others: P - 1 times",
+    "bytes_rows": "rows of ghosts or of a tree, and the columns that are sent of each",
+    "bytes_counts": "in every exchange each rank sends the number of rows to come to all others: P - 1 numbers",
+    "bytes_gathers": "each rank sends its box, or an error, to all others: P - 1 times",
     "bytes_reductions": "each number is sent in log2 P stages",
     "messages": "blocks of bisection have more neighbours than those of a regular grid, or ranks send to all",
-    "reductions": "ranks agree more often: of more particles some need more passes, or more windows of time",
+    "reductions": "ranks agree more often: among more particles some need more passes, or more time windows",
     "all_to_alls": "more exchanges of all with all",
-    "fetches": "all search when one of more particles has gone too far",
+    "fetches": "all ranks search as soon as one particle has moved too far, which is sooner among more particles",
     "ghosts": "ghosts come from further away",
     "memory": "more than the rows of the rank and of ghosts: room for messages, entries for each rank, or all particles",
     "memory_start": "more than the particles of the rank: entries for each rank, or all particles",
@@ -93,13 +93,13 @@ def count_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
 
 
 def title(scene: Scene) -> str:
-    """Of the scene, with its mode of collisions."""
+    """Return the title of the scene, with its mode of collisions."""
     collisions = scene.effects.get("collisions")
     return (scene.title or "untitled scene") + (f", mode {collisions.mode}" if collisions else "")
 
 
 def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Screen) -> tuple[list[Curve], bool]:
-    """The strong curve, and the weak one if the scene can grow; do ranks divide space? Collective."""
+    """Return the strong curve, and the weak one if the scene can grow; and whether ranks divide space. Collective."""
     own, weak = sum(population.count or 0 for population in scene.particles), not unable_to_grow(scene)
     strong = PER_RANK * min(STRONG_RANKS, counts[-1])
     curves = [[(strong, ranks) for ranks in counts], [(PER_RANK * ranks, ranks) for ranks in counts]][: 1 + weak]
@@ -121,7 +121,7 @@ def count_scene(scene: Scene, world: Communicator, counts: list[int], screen: Sc
 
 
 def run_counted(scene: Scene, ranks: Communicator) -> tuple[Point, bool]:
-    """(Counts of a step on this rank, and its seconds if there is no other; do ranks divide space?) Collective."""
+    """Return (counts of a step on this rank, its seconds if there is no other; whether ranks divide space). Collective."""
     tracemalloc.start()
     sim = Simulation(scene, comm=ranks.comm)
     if isinstance(sim.near, Neighbourhood):
@@ -147,7 +147,7 @@ def run_counted(scene: Scene, ranks: Communicator) -> tuple[Point, bool]:
 
 
 def to_search(sim: Simulation, least: int) -> None:
-    """At least so many steps, and on to the end of the next one with a search for neighbours, if there is one soon."""
+    """Do at least so many steps, up to the end of the next one with a search for neighbours, if there is one soon."""
     searches = -1
     for done in range(least + SEARCH_INTERVAL):
         if done >= least and (sim.near is None or sim.near.searches > searches >= 0):
@@ -157,7 +157,7 @@ def to_search(sim: Simulation, least: int) -> None:
 
 
 def verdict(name: str, points: list[Point], law: Law) -> str:
-    """How the mean of a column changes past FLAT_FROM ranks: "flat", or as geometry makes it, or what is wrong with it."""
+    """Describe how the mean of a column changes from FLAT_FROM ranks on: "flat", or like the geometry, or what is wrong."""
     first, last = points[0], points[-1]
     before, after = first.counts[name], last.counts[name]
     ideal, reason = expected(name, first, last, law)
@@ -165,7 +165,7 @@ def verdict(name: str, points: list[Point], law: Law) -> str:
         return "flat"
     grows = f"from {amount(before)} to {amount(after)} on {last.ranks} ranks"
     if reason and after <= (1.0 + FLAT_WITHIN) * ideal * before:
-        return f"{grows}: as {reason}"
+        return f"{grows}: like {reason}"
     power = f", as P^{log(after / before) / log(last.ranks / first.ranks):.2f}" if before and after else ""
     if name == "bytes":  # of all bytes, the kind that grew most
         name = max(BYTE_COLUMNS, key=lambda kind: last.counts[kind] - first.counts[kind])
@@ -173,7 +173,7 @@ def verdict(name: str, points: list[Point], law: Law) -> str:
 
 
 def expected(name: str, first: Point, last: Point, law: Law) -> tuple[float, str]:
-    """By which factor a column changes where ranks divide space perfectly, and as what; 1 and "" for what should not change."""
+    """Return the factor by which a column changes if ranks divide space perfectly, and like what; 1 and "" for no change."""
     if name in ("bytes", "bytes_rows", "ghosts"):
         layer = law.thickness(first.particles, first.ranks, first.counts["ghosts"])
         if layer > (first.particles / first.ranks) ** (1.0 / len(law.edges)):  # thicker than the block
@@ -189,7 +189,7 @@ def expected(name: str, first: Point, last: Point, law: Law) -> tuple[float, str
 
 
 def say_counts(scene: str, curve: Curve, law: Law, screen: Screen) -> None:
-    """A line for each column: its mean over the ranks for every number of ranks, and the largest of a rank; then the verdicts."""
+    """Print a line for each column: its mean for every number of ranks, and the largest of a rank; then the verdicts."""
     points = curve.points
     table = numbers_table("a rank and step", *(f"P = {point.ranks}" for point in points), "largest")
     for name, words in COLUMNS.items():
@@ -198,23 +198,23 @@ def say_counts(scene: str, curve: Curve, law: Law, screen: Screen) -> None:
     screen.table(table)
     past = [point for point in points if point.ranks >= FLAT_FROM]
     if len(past) < 2:
-        screen.say(f"  which columns are flat, is judged past {FLAT_FROM} ranks")
+        screen.say(f"  which columns are flat is judged only from {FLAT_FROM} ranks on")
         return
     verdicts = {words: verdict(name, past, law) for name, words in COLUMNS.items()}
     flat = [words for words, text in verdicts.items() if text == "flat"]
-    screen.say(f"  flat past {FLAT_FROM} ranks: {', '.join(flat) or 'none'}")
+    screen.say(f"  flat from {FLAT_FROM} ranks on: {', '.join(flat) or 'none'}")
     for words, text in verdicts.items():
         if text != "flat":
             screen.say(f"  {words}: {text}")
 
 
 def amount(value: float) -> str:
-    """A short text: whole numbers from 100 on, else three digits."""
+    """Return a short text: whole numbers from 100 on, otherwise three digits."""
     return grouped(value) if value >= 100.0 else f"{value:.3g}"
 
 
 def table_rows(scene: str, curve: Curve) -> Iterator[dict[str, Any]]:
-    """Of counts.csv: a row for each point, mean and largest of each column."""
+    """Yield the rows of counts.csv: one for each point, with mean and largest of each column."""
     for point in curve.points:
         row = {"scene": scene, "curve": curve.name, "ranks": point.ranks, "particles": point.particles}
         for name in COLUMNS:

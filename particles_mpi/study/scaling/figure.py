@@ -20,7 +20,7 @@ TITLE_LETTERS = 60  # in a line of the title of a panel
 
 
 def draw(result: Result) -> Figure:
-    """Four panels; three without a model."""
+    """Draw four panels, or three without a model."""
     figure = Figure(figsize=(12, 9), dpi=130, layout="constrained")
     panels = figure.subplot_mosaic([["times", "efficiency"], ["phases", "model" if result.model else "phases"]])
     draw_times(panels["times"], result)
@@ -39,7 +39,7 @@ def color_of(result: Result, curve: Curve) -> str:
 
 
 def against_ranks(axes: Axes, ranks: list[int], title: str, **legend: Any) -> None:
-    """Ranks on a log axis, as whole numbers; what all panels but that of the phases have."""
+    """Prepare a log axis of ranks with whole numbers, which all panels but that of the phases have."""
     axes.set_xscale("log", base=2)
     axes.set_xticks(ranks, [str(n) for n in ranks])
     axes.minorticks_off()
@@ -53,13 +53,13 @@ def against_ranks(axes: Axes, ranks: list[int], title: str, **legend: Any) -> No
 
 
 def draw_markers(axes: Axes, curve: Curve, values: Sequence[float], color: str) -> None:
-    """A marker at each point of a curve; hollow where ranks shared cores."""
+    """Draw a marker at each point of a curve; hollow where ranks shared cores."""
     for p, value in zip(curve.points, values, strict=True):
         axes.plot(p.ranks, value, "o", color=color, mfc="white" if p.oversubscribed else color)
 
 
 def draw_points(axes: Axes, result: Result, curve: Curve, values: list[tuple[float, float, float]]) -> None:
-    """Median and quartiles against ranks."""
+    """Draw median and quartiles against ranks."""
     color, (middle, low, high) = color_of(result, curve), np.array(values).T
     lengths = np.abs([middle - low, high - middle])
     axes.errorbar([p.ranks for p in curve.points], middle, lengths, color=color, lw=1.5, capsize=3, label=curve.name)
@@ -70,7 +70,7 @@ def draw_points(axes: Axes, result: Result, curve: Curve, values: list[tuple[flo
 
 
 def draw_times(axes: Axes, result: Result) -> None:
-    """Seconds of a step at a fixed size, against the ideal."""
+    """Draw the seconds of a step at a fixed size, and the ideal."""
     ranks = {p.ranks for p in result.points}
     for curve in (curve for curve in result.curves if not curve.weak):
         draw_points(axes, result, curve, [(p.seconds, p.low, p.high) for p in curve.points])
@@ -100,7 +100,7 @@ def draw_efficiency(axes: Axes, result: Result) -> None:
 
 
 def draw_phases(axes: Axes, result: Result) -> None:
-    """Shares of the step, a bar for each point, curve by curve."""
+    """Draw the shares of the step, a bar for each point, curve by curve."""
     points = [(number, p) for number, curve in enumerate(result.curves) for p in curve.points]
     rows = shares([p for _, p in points])
     colors = [colormaps["viridis"](x) for x in np.linspace(0.1, 0.9, len(rows[0]) - 1)] + [GREY]
@@ -120,7 +120,7 @@ def draw_phases(axes: Axes, result: Result) -> None:
 
 
 def draw_model(axes: Axes, result: Result, model: Model) -> None:
-    """The model to many ranks, dashed, through the measured points."""
+    """Draw the model up to many ranks, dashed, with the measured points."""
     for curve in result.curves:
         color, seconds = color_of(result, curve), [model.seconds(curve.particles(ranks), ranks) for ranks in EXTRAPOLATED]
         axes.plot(EXTRAPOLATED, seconds, "--", color=color, label=f"model: {curve.name}")

@@ -50,14 +50,14 @@ class RankSubsetTimer(StepTimer):
     sums: dict[str, float] = field(default_factory=dict)
 
     def sample(self, sample_seconds: float) -> float:
-        """Seconds of a step, known to all of the world. Collective there."""
+        """Return the seconds of a step, on all ranks of the world. Collective there."""
         if not self.samples:
             self.sums.clear()  # those of the warm-up
         sample = super().sample
         return max(found_by(self.world, self.subset, lambda subset: sample(sample_seconds)))
 
     def clock(self, sim: Simulation, steps: int) -> float:
-        """The same, and what was done meanwhile is added to the sums."""
+        """Time steps as the base class does, and add phases and counts to the sums."""
         before = counters(sim)
         seconds = super().clock(sim, steps)
         for name, value in (counters(sim) | {"steps": steps, "clocked": seconds}).items():
@@ -65,7 +65,7 @@ class RankSubsetTimer(StepTimer):
         return seconds
 
     def a_step(self) -> dict[str, float]:
-        """Seconds of each phase, and counts, of one step on this rank, by name.
+        """Return the seconds of each phase and the counts of one step on this rank, by name.
 
         Phases come in lumps: each gets the share of the median step that it has of all samples together.
         """
@@ -73,7 +73,7 @@ class RankSubsetTimer(StepTimer):
         return {name: whole * (phase if name.startswith(PHASE_PREFIX) else step) for name, whole in self.sums.items()}
 
     def point(self, oversubscribed: bool) -> Point:
-        """What the ranks found, put together. Collective in the world."""
+        """Return the results of all ranks together. Collective in the world."""
         found = [part for part in self.world.allgather((self.a_step(), self.sim.total) if self.sim else None) if part]
         steps, count = [step for step, _ in found], len(found)
         names = [name for name in steps[0] if name.startswith(PHASE_PREFIX)]
@@ -91,7 +91,7 @@ class RankSubsetTimer(StepTimer):
 
 
 def found_by(world: Communicator, subset: Communicator | None, work: Callable[[Communicator], Any]) -> list[Any]:
-    """What `work(subset)` gives on each rank of a subset, while the others (None) sleep; its error on all. Collective."""
+    """Return `work(subset)` of each rank of a subset, while the others (None) sleep; an error is raised on all. Collective."""
     value, error = None, None
     if subset:
         try:
@@ -108,12 +108,12 @@ def found_by(world: Communicator, subset: Communicator | None, work: Callable[[C
 
 
 def divides(sim: Simulation) -> bool:
-    """Does each rank compute its part of space? Mode event puts all on every rank where that is no less work."""
+    """Does each rank compute its part of space? Mode event puts all particles on every rank if that is no more work."""
     return sim.near is None or bool(sim.near.divided)
 
 
 def counters(sim: Simulation) -> dict[str, float]:
-    """All that counts up in a simulation, on this rank."""
+    """Return all counters of a simulation, of this rank."""
     ranks, near = sim.ranks, sim.near
     searching = near and divides(sim) and "mutual_gravity" not in sim.forces
     counted = {name: getattr(ranks, name) for name in ("rows", "messages", "reductions", "all_to_alls")}
@@ -123,12 +123,12 @@ def counters(sim: Simulation) -> dict[str, float]:
 
 
 def rank_counts(size: int) -> list[int]:
-    """1, 2, 4 ... and all."""
+    """Return 1, 2, 4 ... and the number of all ranks."""
     return sorted({*(1 << k for k in range(size.bit_length())), size})
 
 
 def settings(scene: Scene, counts: list[int], sizes: list[float], weak: bool) -> list[tuple[float, int]]:
-    """What to measure, as (factor, ranks); with `weak` also what weak scaling needs, and a smaller scene for the model."""
+    """Return what to measure, as (factor, ranks); with `weak` also for weak scaling, and a smaller scene for the model."""
     wanted = [(size, count) for size in sizes for count in counts]
     if weak:
         wanted += [(float(count), count) for count in counts]
@@ -140,7 +140,7 @@ def settings(scene: Scene, counts: list[int], sizes: list[float], weak: bool) ->
 def time_settings(
     scene: Scene, world: Communicator, wanted: Iterable[tuple[float, int]], sample_seconds: float, screen: Screen
 ) -> tuple[dict[tuple[float, int], Point], bool]:
-    """The points of the settings (factor, ranks), and whether ranks divide space. Collective."""
+    """Return the points of the settings (factor, ranks), and whether ranks divide space. Collective."""
     subsets = {count: world.subset(count) for count in rank_counts(world.size)}
     timers = {}
     for factor, count in wanted:
@@ -188,13 +188,13 @@ def measure_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
 
 
 def row_bytes(scene: Scene) -> int:
-    """Bytes of a ghost, as they are sent."""
+    """Return the bytes that are sent of a ghost."""
     ghosts = (FIELDS[name] for name in fields_of(scene) if FIELDS[name].ghost)
     return sum(8 * max(components(column, scene.dimension), 1) for column in ghosts)
 
 
 def law_of(scene: Scene, total: int, divided: bool) -> Law:
-    """How work and traffic of the scene grow; `divided`: does each rank compute its part of space?"""
+    """Return how work and traffic of the scene grow; `divided`: does each rank compute its part of space?"""
     growth, fetches_all = "N", not divided
     if "mutual_gravity" in scene.effects:
         tree = scene.effects["mutual_gravity"].choice(scene, total).angle is not None

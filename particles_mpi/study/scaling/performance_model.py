@@ -1,4 +1,4 @@
-"""A model of the seconds of a step with N particles on P ranks, fitted where it was measured, a guess elsewhere.
+"""A model of the seconds of a step with N particles on P ranks, fitted to measurements, and extrapolated beyond them.
 
     t = fixed + imbalance * each * work(N)/P + row * rows(N, P) + latency * stages(P) + bytes for all others / bandwidth
 
@@ -19,11 +19,11 @@ from scipy.optimize import brentq, nnls
 
 NETWORK_LATENCY = 2e-6  # seconds of a short message between two nodes, Infiniband
 NETWORK_BANDWIDTH = 1e10  # bytes a second of a rank
-ASSUMPTIONS = """work: {growth}; {share}, and memory is as fast as here however many ranks a node has
-rows: the layer around a block of space stays as thick, blocks are those of bisection, one row costs what it costs here
-messages: one stage of a reduction, or a message to one neighbour, costs what it costs here; searches are as frequent
-between nodes (more than {ranks} ranks): {latency:.0f} us at least a message, {bandwidth:.0f} GB/s a rank; no other traffic
-not in it: cutting space anew, output, set-up, noise of the operating system, which grows with the number of ranks"""
+ASSUMPTIONS = """work: {growth}; {share}, with memory as fast as here, however many ranks a node has
+rows: the layer around a block of space stays equally thick; bisection makes the blocks; one row costs as much as here
+messages: one stage of a reduction, or a message to one neighbour, costs as much as here; searches are equally frequent
+between nodes (more than {ranks} ranks): at least {latency:.0f} us per message, {bandwidth:.0f} GB/s per rank; no other traffic
+not included: new cuts of space, output, set-up, noise of the operating system, which grows with the number of ranks"""
 
 
 @dataclass(frozen=True)
@@ -63,19 +63,19 @@ class Law:
     shared: bool = True
 
     def work(self, particles: float) -> float:
-        """Units of work that all ranks together do in a step."""
+        """Return the units of work that all ranks together do in a step."""
         return particles * {"N": 1.0, "N log N": log2(max(particles, 2)), "N^2": particles}[self.growth]
 
     def share(self, particles: float, ranks: int) -> float:
-        """Units of work that one of the ranks does in a step."""
+        """Return the units of work that one of the ranks does in a step."""
         return self.work(particles) / (ranks if self.shared else 1)
 
     def rate(self, particles: float, ranks: int, seconds: float) -> float:
-        """Units of work for each rank and second, where a step takes `seconds`."""
+        """Return the units of work per rank and second, if a step takes `seconds`."""
         return self.work(particles) / (ranks * seconds)
 
     def cuts(self, ranks: int) -> list[float]:
-        """Blocks of space along each axis: the longest edge is halved again and again. Broken numbers between powers of two."""
+        """Return the number of blocks along each axis: the longest edge is halved repeatedly. Fractions between powers of two."""
         blocks, left = [1.0] * len(self.edges), float(ranks)
         while left > 1.0:
             k = max(range(len(blocks)), key=lambda axis: self.edges[axis] / blocks[axis])
@@ -84,16 +84,16 @@ class Law:
         return blocks
 
     def sides(self, ranks: int) -> list[float]:
-        """Along each axis, on how many of its two sides a block has a neighbour, mean over the ranks."""
+        """Return for each axis on how many of its two sides a block has a neighbour, mean over the ranks."""
         both = ((2.0 * (1.0 - 1.0 / n), wraps) for n, wraps in zip(self.cuts(ranks), self.periodic, strict=True))
         return [min(2.0, 2.0 * side) if wraps else side for side, wraps in both]
 
     def neighbours(self, ranks: int) -> float:
-        """Number of ranks whose blocks touch the block of a rank, at corners too, mean over the ranks."""
+        """Return the number of ranks whose blocks touch the block of a rank, at corners too, mean over the ranks."""
         return min(ranks - 1.0, prod(1.0 + side for side in self.sides(ranks)) - 1.0)
 
     def rows(self, particles: float, ranks: int, thickness: float) -> float:
-        """Rows that a rank fetches at a time.
+        """Return the rows that a rank fetches at a time.
 
         `thickness`: of the layer around its block, in mean distances between particles; with `fetches_all` there is no layer,
         and it is how often each particle of the other ranks is fetched, about 1.
@@ -105,7 +105,7 @@ class Law:
         return prod(min(length, length / n + thickness * side) for length, n, side in blocks) - particles / ranks
 
     def thickness(self, particles: float, ranks: int, rows: float) -> float:
-        """Thickness of the layer that holds so many rows, in mean distances between particles."""
+        """Return the thickness of the layer that holds so many rows, in mean distances between particles."""
         if self.fetches_all:
             return rows / (particles - particles / ranks)
         most = max(self.edges) * particles ** (1.0 / len(self.edges))
@@ -142,21 +142,21 @@ class Model:
     for_each: float = 0.0
 
     def rows(self, particles: float, ranks: int) -> float:
-        """Rows that a rank fetches in a step."""
+        """Return the rows that a rank fetches in a step."""
         return self.fetches * self.law.rows(particles, ranks, self.thickness) if ranks > 1 else 0.0
 
     def stages_for(self, ranks: int) -> dict[str, float]:
-        """Messages of a rank in a step, one after the other, by what they are for."""
+        """Return the consecutive messages of a rank in a step, by purpose."""
         depth, neighbours = ceil(log2(ranks)), self.law.neighbours(ranks)
         collective = {"reductions": self.reductions * depth, "exchanges of all with all": self.all_to_alls * depth}
         return {"messages to neighbours": self.messages * neighbours} | collective
 
     def stages(self, ranks: int) -> float:
-        """Number of these messages."""
+        """Return the number of these messages."""
         return sum(self.stages_for(ranks).values())
 
     def parts(self, particles: float, ranks: int) -> dict[str, float]:
-        """Seconds of a step, term by term."""
+        """Return the seconds of a step, term by term."""
         row, latency, byte = self.row, self.latency, 0.0
         if ranks > self.measured:
             byte = 1.0 / NETWORK_BANDWIDTH
@@ -170,24 +170,24 @@ class Model:
         }
 
     def losses(self, particles: float, ranks: int, weak: bool) -> dict[str, float]:
-        """Seconds of a step that do not fall with the number of ranks, by what takes them.
+        """Return the seconds of a step that do not fall with the number of ranks, by cause.
 
         `weak`: the number of particles of a rank is constant, and with it what a step costs apart from particles does no harm.
         """
         parts, stages = self.parts(particles, ranks), self.stages_for(ranks)
         terms = {f"latency of {name}": parts["latency"] * n / max(self.stages(ranks), 1e-300) for name, n in stages.items()}
         terms |= {"rows of ghosts": parts["rows"], "bytes for all other ranks": parts["all_others"]}
-        return terms if weak else terms | {"what a step costs apart from particles": parts["fixed"]}
+        return terms if weak else terms | {"fixed costs of a step": parts["fixed"]}
 
     def seconds(self, particles: float, ranks: int) -> float:
         return sum(self.parts(particles, ranks).values())
 
     def efficiency(self, particles: float, ranks: int, alone: float) -> float:
-        """Compared with `alone` particles on one rank."""
+        """Return the efficiency compared with `alone` particles on one rank."""
         return self.law.rate(particles, ranks, self.seconds(particles, ranks)) / self.law.rate(alone, 1, self.seconds(alone, 1))
 
     def residual(self, point: Point) -> float:
-        """Relative error of the model at a measured point."""
+        """Return the relative error of the model at a measured point."""
         return self.seconds(point.particles, point.ranks) / point.seconds - 1.0
 
     @property
@@ -199,7 +199,7 @@ class Model:
 
 
 def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
-    """The model of what was measured: counts of all points, seconds only of ranks that did not share a core."""
+    """Fit the model to measured points: counts of all of them, seconds only of ranks that did not share a core."""
     parallel, timed = [p for p in points if p.ranks > 1], [p for p in points if not p.oversubscribed]
     several, widest = [p for p in timed if p.ranks > 1], [p for p in parallel if p.ranks == max(q.ranks for q in parallel)]
     fetching = [p for p in parallel if p.counts["fetches"]]
@@ -220,7 +220,7 @@ def fit(points: Sequence[Point], law: Law, row_bytes: float) -> Model:
 
 
 def costs(units: Sequence[Sequence[float]], seconds: Sequence[float]) -> list[float]:
-    """Costs >= 0 for which units . costs is nearest to `seconds` (all > 0): least sum of squares of the relative errors."""
+    """Return costs >= 0 for which units . costs is nearest to `seconds` (all > 0): least squares of relative errors."""
     table = np.array(units, float) / np.array(seconds, float)[:, None]
     scale = np.sqrt((table**2).sum(axis=0))
     scale[scale == 0.0] = 1.0

@@ -1,4 +1,4 @@
-"""What `study scaling` found: curves, predictions, rows of the CSV files, and tables on the screen."""
+"""Reports what `study scaling` found: curves, predictions, rows of the CSV files, and tables on the screen."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ SHOWN_PHASES = 7  # phases of a table, and of the figure
 
 @dataclass(frozen=True)
 class Curve:
-    """Points of growing rank counts, from one rank on. `weak`: with a constant number of particles a rank, not in all."""
+    """Points with growing numbers of ranks, from one on. `weak`: the number of particles per rank is constant, not the total."""
 
     weak: bool
     points: list[Point]
 
     @property
     def name(self) -> str:
-        """Which kind it is, and its number of particles: of all ranks, or of one of them."""
+        """The kind of the curve, and its number of particles: of all ranks, or of one."""
         return f"{'weak, N/P' if self.weak else 'strong, N'} = {self.points[0].particles}"
 
     def particles(self, ranks: int) -> int:
-        """Particles of all ranks."""
+        """Return the particles of all ranks."""
         return self.points[0].particles * (ranks if self.weak else 1)
 
 
@@ -48,18 +48,18 @@ class Result:
     headline: bool
 
     def efficiency(self, curve: Curve, point: Point) -> float:
-        """Work that a rank does in a second, over that of one rank alone: T1/(P TP); T1/TP on a weak curve if work is as N."""
+        """Return the work per second of a rank over that of one rank alone: T1/(P TP), or T1/TP on a weak curve with work ~ N."""
         alone, together = (self.law.rate(p.particles, p.ranks, p.seconds) for p in (curve.points[0], point))
         return together / alone
 
     def origin(self, model: Model) -> str:
-        """Whose measurements the model extrapolates."""
+        """Return a text: the measurements that the model extrapolates."""
         ranks = f"1 to {model.measured} ranks" if model.measured > 1 else "1 rank"
         late = f", disturbed: a message took {model.latency * 1e3:.2g} ms" if model.latency > DISTURBED_LATENCY else ""
         return f"MODEL, extrapolated from {ranks} of one machine{late}"
 
     def measured_rows(self) -> Iterator[dict[str, Any]]:
-        """Of scaling.csv: a row for each point of each curve; seconds and counts of a step, counts of a rank."""
+        """Yield the rows of scaling.csv: one for each point of each curve; seconds and counts of a step, counts of a rank."""
         phases = dict.fromkeys(name for p in self.points for name in p.phases)
         for curve in self.curves:
             for p in curve.points:
@@ -70,7 +70,7 @@ class Result:
                 yield row | {f"seconds_{name}": p.phases.get(name, 0.0) for name in phases}
 
     def predicted_rows(self, model: Model) -> Iterator[dict[str, Any]]:
-        """Of scaling_model.csv: predictions, not measurements; seconds of a step by terms."""
+        """Yield the rows of scaling_model.csv: predictions, not measurements; seconds of a step by terms."""
         for curve in self.curves:
             for ranks in EXTRAPOLATED:
                 n = curve.particles(ranks)
@@ -81,7 +81,7 @@ class Result:
 
 
 def shares(points: list[Point]) -> list[dict[str, float]]:
-    """Of each point, the share of the step that each phase takes: the longest phases of all points, and "the rest"."""
+    """Return for each point the share of the step of each phase: the longest phases of all points, and "the rest"."""
     each = [{name: s / sum(p.phases.values()) for name, s in p.phases.items()} for p in points]
     total = {name: sum(one.get(name, 0.0) for one in each) for one in each for name in one}
     chosen = [{name: one.get(name, 0.0) for name in sorted(total, key=lambda name: -total[name])[:SHOWN_PHASES]} for one in each]
@@ -89,7 +89,7 @@ def shares(points: list[Point]) -> list[dict[str, float]]:
 
 
 def say_curve(result: Result, curve: Curve, screen: Screen) -> None:
-    """A table with a line a rank count, counts being those of a step and a rank; and one of the shares of phases."""
+    """Print a table with a line per number of ranks (counts are per step and rank), and one of the shares of phases."""
     phases = shares(curve.points)
     table = numbers_table("ranks", "ms a step", "quartiles", "speed-up", "efficiency", "ghosts", "messages", "reductions")
     parts = numbers_table("ranks", *phases[0])
@@ -105,7 +105,7 @@ def say_curve(result: Result, curve: Curve, screen: Screen) -> None:
 
 
 def say_model(result: Result, model: Model, screen: Screen) -> None:
-    """What the model says, from what, and what it takes for granted."""
+    """Print what the model predicts, from which data, and what it assumes."""
     layer = "all particles" if model.law.fetches_all else f"a layer of {model.thickness:.2g} mean distances"
     fetched = f"rows of {layer} fetched {model.fetches:.2g} times" if model.thickness else "no rows fetched"
     screen.say(
@@ -129,11 +129,11 @@ def say_model(result: Result, model: Model, screen: Screen) -> None:
 
 
 def what_ends(model: Model, curve: Curve) -> str:
-    """The longest loss on the two largest numbers of ranks that the model is asked about, and the one that grows most."""
+    """Return a text: the longest loss on the two largest numbers of ranks of the model, and the one that grows most."""
     said, losses = [], [model.losses(curve.particles(ranks), ranks, curve.weak) for ranks in EXTRAPOLATED[-2:]]
     for ranks, loss in zip(EXTRAPOLATED[-2:], losses, strict=True):
         longest = max(loss, key=lambda name: loss[name])
         said.append(f"on {ranks} ranks {longest}, {loss[longest] / model.seconds(curve.particles(ranks), ranks):.0%} of a step")
     growth = {name: seconds - losses[0][name] for name, seconds in losses[1].items()}
     growing = max(growth, key=lambda name: growth[name])
-    return f"{'; '.join(said)}; from the one to the other {growing} grow most, by {growth[growing] * 1e3:.2g} ms"
+    return f"{'; '.join(said)}; the largest growth between the two: {growing}, by {growth[growing] * 1e3:.2g} ms"

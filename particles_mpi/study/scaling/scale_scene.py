@@ -1,4 +1,4 @@
-"""A scene with more particles, or fewer, and just as many in a unit of volume: what weak scaling compares."""
+"""Makes a scene with more particles, or fewer, at the same density, for weak scaling."""
 
 from math import prod
 
@@ -33,19 +33,19 @@ def scale_scene(scene: Scene, factor: float) -> Scene:
 
 
 def unable_to_grow(scene: Scene) -> list[str]:
-    """What is given particle by particle, and so for no other number of particles: a line each, none if the scene can grow."""
+    """Return a line for each value that is given particle by particle, which fixes their number; [] if the scene can grow."""
     faults = []
     for number, population in enumerate(scene.to_dict()["particles"]):
         for name, value in population.items():
             if is_listed(name, value, scene.dimension):
-                faults.append(f"particles[{number}].{name}: is listed, particle by particle")
+                faults.append(f"particles[{number}].{name}: is a list, with a value for each particle")
             if isinstance(value, dict) and "file" in value:
                 faults.append(f"particles[{number}].{name}: comes from a file")
     return faults
 
 
 def edges(scene: Scene) -> tuple[float, ...]:
-    """The edges of the box, in units in which its volume is 1; open space counts as a cube."""
+    """Return the edges of the box, in units in which its volume is 1; open space counts as a cube."""
     if scene.box is None:
         return (1.0,) * scene.dimension
     sides = [high - low for low, high in zip(scene.box.lower, scene.box.upper, strict=True)]

@@ -64,5 +64,5 @@ def test_each_turns_by_its_own_spin_until_a_collision():
 
 def test_only_where_a_scene_asks_for_it():
     assert "orientation" not in slope(3, 0.3, 0.5).rows.arrays
-    with pytest.raises(SceneError, match=r"output\.orientation: nothing turns"):
+    with pytest.raises(SceneError, match=r"output\.orientation: spheres turn only with friction"):
         Scene(dimension=2, time={"step": 0.1, "steps": 1}, particles=[], output={"orientation": True})

@@ -142,18 +142,18 @@ def test_a_header_tells_which_columns_are_meant(tmp_path):
     sim, _ = start({"position": {"file": "a.csv"}, "velocity": {"file": "a.csv"}, "radius": 0.01}, folder=tmp_path)
     assert sim.position.tolist() == [[0.1, 0.2], [0.5, 0.6]] and sim.velocity.tolist() == [[1.0, -2.0], [3.0, 4.0]]
     (tmp_path / "b.csv").write_text("x,vx,z\n1,2,3\n")
-    for name, says in (("position", "x and no y"), ("velocity", "vx and no vy")):
+    for name, says in (("position", "x, but no y"), ("velocity", "vx, but no vy")):
         told = faults({"position": [[0.0, 0.0]], name: {"file": "b.csv"}}, folder=tmp_path)
         assert told == f"particles[0].{name}: {tmp_path / 'b.csv'}: its header has {says}"
     (tmp_path / "c.csv").write_text("x,y,mass\n0.1,0.2,3\n")
     told = faults({"position": {"file": "c.csv"}, "velocity": {"file": "c.csv"}}, folder=tmp_path)
-    assert told == f"particles[0].velocity: {tmp_path / 'c.csv'}: its header has x, y, mass and no vx"
+    assert told == f"particles[0].velocity: {tmp_path / 'c.csv'}: its header has x, y, mass, but no vx"
     for row, says in (("0.1", "line 3: too few columns: 1"), ("0.1,a", "in column 2 to a number")):
         (tmp_path / "e.csv").write_text(f"x,y\n0.5,0.5\n{row}\n")
         assert says in faults({"position": {"file": "e.csv"}}, folder=tmp_path)
     (tmp_path / "d.csv").write_text("id,px,py\n0,0.1,0.2\n")
     told = faults({"position": {"file": "d.csv"}}, folder=tmp_path)
-    assert told == f"particles[0].position: {tmp_path / 'd.csv'}: its header has id, px, py and no x"
+    assert told == f"particles[0].position: {tmp_path / 'd.csv'}: its header has id, px, py, but no x"
 
 
 def test_a_file_of_places_gives_velocities_too_where_its_header_names_them(tmp_path):
@@ -162,7 +162,7 @@ def test_a_file_of_places_gives_velocities_too_where_its_header_names_them(tmp_p
         particles, _ = start({"position": {"file": "a.csv"}, "radius": 0.01} | more, folder=tmp_path)
         assert particles.velocity.tolist() == expected
     (tmp_path / "b.csv").write_text("x,y,vx\n0.1,0.2,1\n")
-    assert "its header has vx and no vy" in faults({"position": {"file": "b.csv"}}, folder=tmp_path)
+    assert "its header has vx, but no vy" in faults({"position": {"file": "b.csv"}}, folder=tmp_path)
 
 
 @pytest.mark.parametrize(("d", "axes"), [(2, ["spin"]), (3, ["spin_x", "spin_y", "spin_z"])])
@@ -185,7 +185,7 @@ def test_a_file_gives_all_that_a_population_can_have(tmp_path, d, axes):
 
 
 def test_what_is_fixed_by_a_file_is_0_or_1(tmp_path):
-    for value, says in (("2", "neither 0 nor 1 for particle 1"), ("0.5", "no whole number of uint8 for particle 1")):
+    for value, says in (("2", "neither 0 nor 1 for particle 1"), ("0.5", "not a whole number of type uint8 for particle 1")):
         (tmp_path / "a.csv").write_text(f"x,y,fixed\n0.1,0.2,1\n0.5,0.6,{value}\n")
         told = faults({"position": {"file": "a.csv"}, "radius": 0.01}, folder=tmp_path)
         assert told == f"particles[0].fixed: {says}"
@@ -195,7 +195,7 @@ def test_columns_that_the_scene_overrides_are_told(tmp_path):
     (tmp_path / "a.csv").write_text("x,y,radius\n0.1,0.2,0.05\n0.5,0.6,0.05\n")
     particles, warnings = start({"position": {"file": "a.csv"}, "radius": 0.01}, folder=tmp_path)
     assert particles.radius.tolist() == [0.01, 0.01]
-    assert warnings == ["particles[0].radius: that of the scene is taken, and not that in a.csv"]
+    assert warnings == ["particles[0].radius: the value in the scene is used, not that in a.csv"]
 
 
 @pytest.mark.parametrize("header", ["", "x,y\n"])
@@ -203,7 +203,7 @@ def test_a_line_has_as_many_columns_as_the_first(tmp_path, header):
     """As it has more where a comma is meant to be a point."""
     (tmp_path / "a.csv").write_text(f"{header}1,2\n\n1,5,2,5\n")
     told = faults({"position": {"file": "a.csv"}}, folder=tmp_path)
-    assert told.endswith(f"a.csv: line {3 + bool(header)} has 4 columns, and line 1 has 2")
+    assert told.endswith(f"a.csv: line {3 + bool(header)} has 4 columns, but line 1 has 2")
 
 
 @pytest.mark.filterwarnings("ignore")  # `catch_warnings` is one for all threads
@@ -257,7 +257,7 @@ def test_a_file_of_places_gives_radii_and_masses_too_and_tells_what_is_not_read(
         assert len(warnings) == 1 + len(more) and "columns colour of" in warnings[0]
     (tmp_path / "b.csv").write_text("0.1,0.2,1,2\n")
     _, warnings = start({"position": {"file": "b.csv"}}, folder=tmp_path)
-    assert len(warnings) == 1 and "a header tells what they hold" in warnings[0]
+    assert len(warnings) == 1 and "add a header that names them" in warnings[0]
     (tmp_path / "a.csv").write_text("# from a lab\n\nx,y,radius\n0.1,0.2,0.03\n0.5,0.6,a\n")
     assert "line 5: " in faults(own, folder=tmp_path)
 
@@ -351,7 +351,7 @@ def test_fields_are_those_the_effects_name():
     ("population", "words"),
     [
         ({"position": [[0.5, 0.5]], "mass": -1.0}, "particles[0].mass: negative for particle 0"),
-        ({"position": [[0.5, 0.5]], "mass": 0.0}, "particles[0].mass: 0, but [effects.collisions]"),
+        ({"position": [[0.5, 0.5]], "mass": 0.0}, "particles[0].mass: [effects.collisions] divides by it, so it must be above 0"),
         ({"position": [[0.5, 0.5]], "radius": -1.0}, "particles[0].radius: negative"),
         ({"position": [[0.5, 0.5]], "radius": [0.1, 0.1]}, "particles[0].radius: 2 entries, but position has 1"),
         ({"position": [[0.5, 0.5]], "count": 2}, "particles[0].position: 1 entries, but count = 2"),
@@ -359,7 +359,7 @@ def test_fields_are_those_the_effects_name():
         ({"position": [[0.5, 0.5]], "fixed": True, "velocity": {"speed": 1}}, "particles[0].velocity"),
         ({"count": 10**15, "position": "random"}, "particles[0].count"),
         ({"position": [[0.5, 1.5]]}, "box: particle 0 outside"),
-        ({"position": [[0.5, 0.04]], "radius": 0.05}, "effects.walls.planes[2]: particle 0 not fully inside"),
+        ({"position": [[0.5, 0.04]], "radius": 0.05}, "effects.walls.planes[2]: particle 0 not fully on the free side"),
     ],
 )
 def test_faults_name_key_and_particle(population, words):
@@ -378,7 +378,7 @@ def test_mass_zero_where_nothing_divides_by_it():
 def test_rough_walls_divide_by_masses(walls):
     """For what they turn has a moment of inertia; smooth ones do not, until they are made rough."""
     ball = {"position": [[0.5, 0.5]], "radius": 0.1, "mass": 0.0}
-    assert "particles[0].mass: 0, but [effects.walls]" in faults(ball, effects={"walls": walls})
+    assert "particles[0].mass: [effects.walls] divides by it, so it must be above 0" in faults(ball, effects={"walls": walls})
     tables = {"box": {"lower": [0.0, 0.0], "upper": [1.0, 1.0]}, "time": {"step": 0.01, "steps": 1}, "particles": [ball]}
     sim = Simulation(Scene(dimension=2, effects={"walls": {}}, **tables))
     for key, value in walls.items():

@@ -38,7 +38,7 @@ def outside(p):
 
 FAULTS = [
     (lose, "lost: particle 7"),
-    (double, "lost: particle 7; there more than once: 8 on ranks 0"),
+    (double, "lost: particle 7; present more than once: 8 on ranks 0"),
     (nan, "particle 3 on rank 0 has a position or velocity that is not finite"),
     (outside, r"particle 5 on rank 0 is beyond wall \d, at \(3, -0.1\)"),
 ]
@@ -78,7 +78,7 @@ def test_a_run_keeps_the_rows_and_the_last_checkpoint(tmp_path):
             sim.rows.position[0] = [50.0, 50.0]  # not by a user, who would be told at once
 
     sim.step = faulty
-    with pytest.raises(StoppedError, match=r"step 20: particle .* is beyond wall .* all rows are in .*stopped.h5") as raised:
+    with pytest.raises(StoppedError, match=r"step 20: particle .* is beyond wall .* all particles are in .*stopped.h5") as raised:
         sim.run(tmp_path / "out")
     assert raised.value.exit_code == 3
     with h5py.File(tmp_path / "out" / "stopped.h5") as file:

@@ -115,7 +115,7 @@ def test_rounded_numbers_are_right_to_half_a_step_of_their_range(gas):
         assert np.abs(shown["position"][:, :2] - frame.position).max() <= 10.0 / 65535
         assert np.abs(shown["speed"][:, 0] - frame.speed).max() <= 0.5001 / 65535
     header, frames = unpack(page(gas, largest=2_000_000 + 4_000))
-    some = next(c for c in header["notes"] if c.startswith("one particle of"))
+    some = next(c for c in header["notes"] if c.startswith("one particle in"))
     every = int(some.split()[3])
     assert all(
         shown["id"][:, 0].tolist() == frame.id[frame.id % every == 0].tolist() for shown, frame in zip(frames, gas, strict=True)

@@ -144,9 +144,9 @@ def test_a_run_goes_on_in_its_folder_whatever_was_changed(tmp_path, every):
     assert [f.step for f in Run(tmp_path / "run")] == [12]
     sim.effects["walls"].restitution = 0.6
     sim.step()
-    with pytest.raises(SceneError, match="already holds another run"):
+    with pytest.raises(SceneError, match="already holds a run other than the one to be resumed"):
         sim.run(tmp_path / "run", resumed=True)
-    with pytest.raises(SceneError, match="would end with step 12, and has come to step 14"):
+    with pytest.raises(SceneError, match="would end with step 12, but it is already at step 14"):
         sim.run(tmp_path / "new", steps=12)
     assert not (tmp_path / "new").exists()
 

@@ -41,7 +41,7 @@ def test_a_file_of_frames_that_is_left_behind_is_told(tmp_path):
         sim.scene.output.formats = [kind for kind in ("hdf5", "vtk") if kind != left]
         sim.run(tmp_path / left, resumed=True)
         (warning,) = sim.warnings
-        assert f"{name} is from before step 2 and gets no more frames" in warning
+        assert f"{name} was written before step 2 and gets no more frames" in warning
 
 
 def test_a_plan_without_formats_has_no_frames(tmp_path):

@@ -27,7 +27,7 @@ def test_energy_that_changes_though_nothing_takes_any_is_told(tmp_path, step, mo
         particles=[{"position": [[0.0, 0.0], [1.0, 0.0]], "velocity": [[0.0, 0.3], [0.0, -0.3]], "mass": 1.0}],
         effects={"mutual_gravity": {}, **more},
     )  # fmt: skip
-    said = [remark for remark in about["remarks"] if remark.startswith("total energy: from ")]
+    said = [remark for remark in about["remarks"] if remark.startswith("total energy: changed from ")]
     assert bool(said) == told and all("shorten time.step" in remark and ("adaptive" in remark) != bool(more) for remark in said)
 
 
@@ -40,7 +40,7 @@ def test_energy_is_judged_wherever_height_is_zero(tmp_path, height):
         particles=[{"count": 30, "radius": 0.05, "position": "random", "velocity": {"speed": 0.9}}],
         effects={**gravity, "collisions": {"mode": "event"}, "walls": {}},
     )  # fmt: skip
-    assert any("nothing here takes or gives any" in remark for remark in about["remarks"])
+    assert any("no effect adds or takes any" in remark for remark in about["remarks"])
     about = ended(
         tmp_path / "p", time={"step": 0.01, "steps": 100}, particles=[{"position": [[0.0, height]], "mass": 1.0}], effects=gravity
     )
@@ -58,7 +58,7 @@ def test_a_run_that_is_continued_judges_the_energy_of_all_of_it(tmp_path):
         command = [sys.executable, "-m", "particles_mpi", "run", "s.toml", "--output", "o", "--steps", steps, "--resume", "auto"]
         subprocess.run(command, cwd=tmp_path, env=environment(), check=True, capture_output=True)
         about = json.loads((tmp_path / "o" / "run.json").read_text())
-        told.append([remark.split(" to ")[0] for remark in about["remarks"] if remark.startswith("total energy: from ")])
+        told.append([remark.split(" to ")[0] for remark in about["remarks"] if remark.startswith("total energy: changed from ")])
     assert told[0] and told[1] == told[0]
 
 
@@ -104,6 +104,6 @@ def test_late_collisions_are_told_of_all(tmp_path):
         tmp_path / "o", box={"lower": [0.0, 0.0], "upper": [3.2, 3.2]}, time={"step": 0.02, "steps": 100}, particles=[discs],
         effects={"collisions": {"restitution": 0.9, "passes": 3}, "walls": {}},
     )  # fmt: skip
-    late = [remark for remark in about["remarks"] if remark.startswith("collisions that came late")]
+    late = [remark for remark in about["remarks"] if remark.startswith("collisions found late")]
     assert any("in order of time" in remark for remark in about["remarks"])
     assert late and f" of {about['counts']['collisions']};" in late[0]

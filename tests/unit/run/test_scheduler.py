@@ -108,7 +108,7 @@ def test_after_a_signal_a_step_may_take_twice_as_long_as_the_one_before(monkeypa
             clock[0] += 0.999 * most
             signals.check_signals()
             clock[0] += 0.002 * most
-            with pytest.raises(KeyboardInterrupt, match="what counts is the last checkpoint"):
+            with pytest.raises(KeyboardInterrupt, match="continue from the last checkpoint"):
                 signals.check_signals()
     finally:
         request.close()

@@ -246,7 +246,7 @@ def test_a_default_is_a_value_of_its_column(tmp_path, column):
 
 
 def test_names_of_the_program_in_an_effect_are_refused(tmp_path):
-    with pytest.raises(SceneError, match=r"effects\.mine\.file: self\.g means"):
+    with pytest.raises(SceneError, match=r"effects\.mine\.file: self\.g is used by the program itself"):
         sim(write(tmp_path, "def __init__(s, o, c): s.g = o.k\ndef add(s, p, a): a -= s.g * p.position"))
 
 

@@ -15,7 +15,7 @@ FLOOR = {"point": [0.0, 0.0], "normal": [0.0, 1.0]}
 
 @pytest.mark.parametrize(
     "planes, restitution, integrator, words",
-    [([FLOOR], 0.5, "leapfrog", []), ([FLOOR], 1.0, "taylor", []), ([FLOOR], 0.5, "taylor", ["nothing comes to rest"])],
+    [([FLOOR], 0.5, "leapfrog", []), ([FLOOR], 1.0, "taylor", []), ([FLOOR], 0.5, "taylor", ["never come to rest on anything"])],
 )
 def test_advice(planes, restitution, integrator, words):
     scene = Scene(
@@ -44,7 +44,9 @@ def test_that_there_is_no_vtk_in_four_dimensions_is_said():
         "particles": [{"position": [[1.0, 2.0, 0.0, 0.0]], "radius": 0.1}],
     }
     told = plan(scene := Scene.from_dict(tables), populate(scene)[0], Communicator.alone(), 1)
-    assert told["advice"] == ["output.formats: vtk has three axes, so hdf5 only, which has places and velocities in all of them"]
+    assert told["advice"] == [
+        "output.formats: only hdf5 is written, which has all axes of positions and velocities; vtk has three"
+    ]
 
 
 def test_what_is_switched_off_does_not_run():
@@ -71,8 +73,8 @@ def test_a_plane_across_a_periodic_axis_is_told():
 @pytest.mark.parametrize(
     ("periodic", "effects", "words"),
     [
-        ([True, False], {"collisions": {}}, "leave it along axis 1: no [effects.walls]"),
-        (False, {"collisions": {}}, "leave it along axes 0 and 1: no [effects.walls]"),
+        ([True, False], {"collisions": {}}, "may leave it along axis 1: there is no [effects.walls]"),
+        (False, {"collisions": {}}, "may leave it along axes 0 and 1: there is no [effects.walls]"),
         (False, {"collisions": {}, "walls": {}}, ""),
         (True, {"collisions": {}}, ""),
         (True, {"collisions": {}, "walls": {}}, "there is no wall"),
@@ -112,4 +114,4 @@ def test_taylor_is_of_first_order_where_forces_depend_on_the_place(effects, told
         effects=effects,
     )
     lines = advice(scene, populate(scene)[0], Communicator.alone())
-    assert any("first order with forces that depend on the place" in line for line in lines) == told
+    assert any("first order with forces that depend on position" in line for line in lines) == told

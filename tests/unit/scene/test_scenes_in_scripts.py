@@ -35,7 +35,7 @@ CHANGES = {
     "time.step: must be greater than 0": lambda s: setattr(s.time, "step", -0.01),
     "time.step: must be a valid number": lambda s: setattr(s.time, "step", "a"),
     'time.integrator: "order4" goes back': lambda s: setattr(s.time, "integrator", "order4"),
-    "time.steps: give one of time.end and time.steps": lambda s: setattr(s.time, "end", 1.0),
+    "time.steps: give either time.end or time.steps": lambda s: setattr(s.time, "end", 1.0),
     "particles\\[0\\].position\\[0\\]: 1 components in dimension 3": lambda s: setattr(s, "dimension", 3),
     "output.formats": lambda s: s.output.formats.append("hfd5"),
     "effects.drag.rate: must be": lambda s: s.effects.update(drag={"rate": -1.0}),

@@ -85,9 +85,9 @@ def test_scene_survives_its_own_tables(path):
         ({"effects": {"collisions": {"tangential_restitution": 2}}}, ["collisions.tangential_restitution", "equal to 1 (got 2)"]),
         ({"effects": {"collisions": {"friction": 0.5, "damping": 0.1}}}, ["effects.collisions.friction", "give restitution"]),
         ({"effects": {"walls": {"planes": [{"point": [0, 0], "normal": [0, 1], "friction": -1}]}}}, ["walls.planes[0].friction"]),
-        ({"effects": {"rolling": {"resistance": 0.01}}}, ["effects.rolling.resistance", "without friction"]),
+        ({"effects": {"rolling": {"resistance": 0.01}}}, ["effects.rolling.resistance", "only with friction"]),
         ({"effects": {"collisions": {"friction": 0.5}, "rolling": {}}}, ["effects.rolling.resistance: missing"]),
-        ({"particles": [{"position": [[0.5, 0.5]], "spin": 1.0}]}, ["particles[0].spin", "without friction"]),
+        ({"particles": [{"position": [[0.5, 0.5]], "spin": 1.0}]}, ["particles[0].spin", "only with friction"]),
         ({"particles": [{"position": [[0.5, 0.5]], "moment_of_inertia": 1.0}]}, ["particles[0].moment_of_inertia", "friction"]),
         ({"particles": [{"position": "random"}]}, ["particles[0].count"]),
         ({"particles": [{"position": "somewhere", "count": 1}]}, ["particles[0].position"]),
@@ -113,7 +113,7 @@ def test_a_fault_names_its_key(changes, words):
 def test_friction_is_for_two_and_three_dimensions(dimension):
     box = {"lower": [0] * dimension, "upper": [1] * dimension}
     told = faults(tables(dimension=dimension, box=box, effects={"collisions": {"friction": 0.5}}))
-    assert told == f"effects.collisions.friction: spins are known in 2 and 3 dimensions, not in {dimension}"
+    assert told == f"effects.collisions.friction: rough spheres need dimension 2 or 3, not {dimension}"
 
 
 @pytest.mark.parametrize(

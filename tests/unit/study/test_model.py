@@ -79,9 +79,9 @@ def test_contacts_and_chaos():
         time, effects = {"step": 0.01, "steps": 1000}, {"collisions": {"mode": mode}}
         sim = Simulation(Scene(dimension=3, box=box, time=time, particles=[gas], effects=effects))
         told[mode] = predict(sim, Benchmark()).errors
-    assert "beside mode event" in told["rewind"][0] and "passes 10" in told["rewind"][0]
+    assert "compared with mode event" in told["rewind"][0] and "passes 10" in told["rewind"][0]
     assert "contacts are exact in mode event" in told["event"][0]
-    assert all("places mean nothing" in lines[1] for lines in told.values())
+    assert all("positions mean nothing" in lines[1] for lines in told.values())
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_what_rewind_loses_is_measured(collisions, passes, least, most):
 
 def test_a_scene_without_steps_or_particles_has_nothing_to_predict():
     empty = Scene(dimension=2, time={"step": 0.1, "steps": 0}, particles=[{"position": [[0.0, 0.0]]}])
-    assert predict(Simulation(empty), Benchmark()).errors == ["predicted: nothing happens"]
+    assert predict(Simulation(empty), Benchmark()).errors == ["predicted: nothing happens in this run"]
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)

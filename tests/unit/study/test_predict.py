@@ -68,7 +68,7 @@ def test_the_error_is_as_told(time, above):
     found, scene = end_of_orbit(start, 12.0, **time)
     true, _ = end_of_orbit(start, 12.0, step=0.75, integrator="adaptive", tolerance=1e-11)
     (line,) = predict(Simulation(scene), Benchmark()).errors
-    told, at = re.search(r"places ([-+e.0-9]+) of the size of the motion at t = ([\d.]+)", line).groups()
+    told, at = re.search(r"positions wrong by ([-+e.0-9]+) of the size of the motion at t = ([\d.]+)", line).groups()
     assert float(at) == 12.0
     assert 1.0 < float(told) / abs(found - true).max() < above  # the size of the motion is about 1
 
@@ -103,7 +103,7 @@ def test_the_error_of_a_tree_is_told_too():
         "effects": {"mutual_gravity": tree},
     }
     (line,) = predict(Simulation(Scene.from_dict(scene)), Benchmark()).errors
-    step, by_tree = (float(re.search(f"{word} ([-+e.0-9]+)", line).group(1)) for word in ("places", "by the tree,"))
+    step, by_tree = (float(re.search(f"{word} ([-+e.0-9]+)", line).group(1)) for word in ("positions wrong by", "the tree adds"))
     assert by_tree > 5.0 * step > 0.0
 
 

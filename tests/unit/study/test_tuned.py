@@ -87,5 +87,5 @@ def test_remarks_and_forms_of_the_author_stay(tmp_path):
 def test_a_scene_is_not_replaced_by_what_is_found_for_it(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(SCENE.replace('{file = "start.csv"}', "[[0.5, 0.25]]"))
-    with pytest.raises(SceneError, match="is the scene itself"):
+    with pytest.raises(SceneError, match="is the scene file itself"):
         recommend_scene(path, 1e-3, output=tmp_path / ".." / tmp_path.name / "scene.toml")
