@@ -37,9 +37,9 @@ app = typer.Typer(
 )
 
 
-def tell_version(asked: bool) -> None:
+def print_version(wanted: bool) -> None:
     """Print the version, and end."""
-    if asked:
+    if wanted:
         if IS_ROOT:
             print(f"particles-mpi {particles_mpi.__version__}")
         raise typer.Exit
@@ -47,7 +47,7 @@ def tell_version(asked: bool) -> None:
 
 @app.callback()
 def options(
-    asked: Annotated[bool, typer.Option("--version", callback=tell_version, is_eager=True, help="Show the version.")] = False,
+    version: Annotated[bool, typer.Option("--version", callback=print_version, is_eager=True, help="Show the version.")] = False,
 ) -> None:
     """What can be said before a command. The help of `app` is shown instead of this."""
 
@@ -200,7 +200,7 @@ def collect_garbage() -> None:
     gc.enable()
 
 
-def nobody_reads(error: BaseException) -> bool:
+def is_broken_pipe(error: BaseException) -> bool:
     """Is it that what is printed is no longer read, as behind `| head`? Not on several ranks: mpirun reads it there."""
     return isinstance(error, BrokenPipeError) or isinstance(error.__context__, BrokenPipeError)
 
@@ -219,14 +219,14 @@ def main() -> None:
     try:
         same_on_all(Communicator(), {"arguments": words(sys.argv[1:])})
         command = typer.main.get_command(app)  # not `app()`, which loses what an interruption says
-        told = not IS_ROOT and ("--help" in sys.argv or sys.argv[1:] in ([], ["study"]))  # by rank 0
-        aside = redirect_stdout(StringIO()) if told else nullcontext()
+        printed_by_root = not IS_ROOT and ("--help" in sys.argv or sys.argv[1:] in ([], ["study"]))
+        aside = redirect_stdout(StringIO()) if printed_by_root else nullcontext()
         with aside, command.make_context("particles-mpi", sys.argv[1:]) as context:
             command.invoke(context)
     except typer.Exit as error:
         code = error.exit_code
     except BaseException as error:
-        if nobody_reads(error) and (sys.argv[1:2] != ["run"] or "--help" in sys.argv):  # all that is left to do is to print
+        if is_broken_pipe(error) and (sys.argv[1:2] != ["run"] or "--help" in sys.argv):  # all that is left to do is to print
             os._exit(0)
         wrong_arguments = getattr(error, "format_message", None)  # typer's own
         code = abort_all(SceneError(wrong_arguments()) if wrong_arguments else error)

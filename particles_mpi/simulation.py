@@ -184,7 +184,7 @@ class Simulation(Saved):
             if self.scene.output.observables:
                 collisions = self.ranks.total(self.totals["collisions"])[0]
                 volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
-                since, pairs = self.observed["row" if row else "call"], self.active.pairs
+                since, pairs = self.output_record.observed["row" if row else "call"], self.active.pairs
                 elastic = pairs is None or not pairs.lossy
                 measured |= observe(self.ranks, p, volume, self.time, collisions, since, elastic)
         require_finite(self.ranks, p, measured["kinetic"], f"step {self.steps_done}")

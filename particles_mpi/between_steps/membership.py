@@ -55,7 +55,7 @@ class Membership(State):
             raise ValueError(f"remove: not found: {listed(np.setdiff1d(named, found))}")
         if "virial" in self.rows.arrays:  # from here on only collisions of the remaining particles count
             gone = exact_sums(self.ranks, [self.rows.virial[here]])[0]
-            for since in self.observed.values():
+            for since in self.output_record.observed.values():
                 since[2] -= gone
         self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
         self.particles.close()

@@ -34,7 +34,7 @@ class Saved(Membership):
         """Return clock, counts over all ranks, and scene, as plain data: the state without particles and contacts. Collective."""
         self.take_changes()
         totals = self.ranks.allreduce_sum(np.array([self.totals[name] for name in COUNTS])).tolist()
-        clock = {"step": self.steps_done, "moment": self.clock_start, "h": self._h, "observed": self.observed}
+        clock = {"step": self.steps_done, "moment": self.clock_start, "h": self._h, "observed": self.output_record.observed}
         return {**clock, "totals": totals, "next_id": self.next_id, "additions": self.additions, "scene": self.scene.to_dict()}
 
     def lasting_contacts(self) -> Memory:
@@ -48,7 +48,7 @@ class Saved(Membership):
         sim.begin(scene, ranks, rows, metadata["next_id"])
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
         sim.clock_start = metadata["moment"][0], metadata["moment"][1]
-        sim.observed = {reader: list(since) for reader, since in metadata["observed"].items()}
+        sim.output_record.observed = {reader: list(since) for reader, since in metadata["observed"].items()}
         if sim.persistent:
             sim.persistent.history.restore(contacts)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
@@ -80,11 +80,12 @@ class Saved(Membership):
         contacts, _ = send_rows(ranks, contacts, *by_destination(owner, ranks.size))
         with raising_together(ranks):
             sim = cls.restored(scene, ranks, rows, metadata, Memory(**contacts))
-        sim.reported, sim.written = json.loads(saved["reported"]), json.loads(saved["written"])
+        record = sim.output_record
+        record.reported, record.written = json.loads(saved["reported"]), json.loads(saved["written"])
         if "past" in saved:
             sim.count_on(json.loads(saved["past"]))
         if Path(path).name == "checkpoint.h5":  # a run into that folder goes on there
-            sim.saved = Path(path).resolve().parent, sim.steps_done, identity_of(Path(path), ranks)
+            record.saved = Path(path).resolve().parent, sim.steps_done, identity_of(Path(path), ranks)
         return sim
 
     def count_on(self, past: dict[str, Any]) -> None:

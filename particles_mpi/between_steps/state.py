@@ -34,6 +34,17 @@ def is_number(value: Any) -> bool:
     return isinstance(value, Real)
 
 
+class OutputRecord:
+    """How far the output of a simulation has come."""
+
+    def __init__(self) -> None:
+        self.reported = [0] * len(COUNTS)  # at the last row of diagnostics
+        self.written: dict[str, int] = {}  # the steps of the last row and frame
+        # Time, collisions and virial at the last row with observables, and at the last call of `measure`
+        self.observed = {"row": [0.0, 0.0, 0.0], "call": [0.0, 0.0, 0.0]}
+        self.saved: tuple[Path, int, Any] | None = None  # folder, step and `identity_of` its last checkpoint
+
+
 class State:
     """What a simulation is between two steps. After a user has changed it, it goes on as a new simulation with that state would.
 
@@ -44,9 +55,7 @@ class State:
     some were added; steps_done; clock_start, the time and the number of steps from which the clock counts. Counts of this rank
     since the start: totals, what happened, by the names in COUNTS; calls, how often each effect was called.
 
-    For output: warnings, those of the start; reported, the COUNTS at the last row of diagnostics; written, the steps of the last
-    row and frame; observed, time, collisions and virial at the last row with observables, and at the last call of `measure`;
-    saved, where the last checkpoint is and its step; views, which show the particles in a notebook.
+    For output: warnings, those of the start; output_record; views, which show the particles in a notebook.
 
     `build` makes from all this: context, active, watchdog, persistent, drift, near (the search for neighbours, or None),
     accelerations, forces (those that are switched on, by name), g (d,) (the acceleration that all particles have in common),
@@ -80,11 +89,8 @@ class State:
         self.warnings: list[str] = []
         self.steps_done, self._h = 0, scene.time.step
         self.clock_start = 0.0, 0  # (time, steps done) that the clock counts from
-        self.reported = [0] * len(COUNTS)
-        self.written: dict[str, int] = {}
-        self.saved: tuple[Path, int, Any] | None = None  # folder, step and `identity_of` its last checkpoint
+        self.output_record = OutputRecord()
         self.views: list[Any] = []  # in a notebook
-        self.observed = {"row": [0.0, 0.0, 0.0], "call": [0.0, 0.0, 0.0]}
         self.additions = 0  # populations added while it ran
         self.rows = rows
         self.rows.hold_fixed()
@@ -207,7 +213,7 @@ class State:
         same_on_all(self.ranks, {"time": value})
         if not (is_number(value) and np.isfinite(value)):
             raise ValueError(f"time: {value!r} is not a finite number")
-        for since in self.observed.values():
+        for since in self.output_record.observed.values():
             since[0] += value - self.time
         if "contacted" in self.rows.arrays:  # times of the last contacts
             self.rows["contacted"] += value - self.time

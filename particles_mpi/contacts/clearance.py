@@ -6,7 +6,7 @@ from particles_mpi.contacts.law import may_come_near
 from particles_mpi.contacts.walls import may_hit, wall_contact
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import in_place
-from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.kernels.markers import NO_PARTNER
 from particles_mpi.neighbours.trajectories import fastest
 
 
@@ -42,7 +42,7 @@ def all_clear(axes, x, v, radius, h, length, bounded, planes):
         return False
     for i in range(len(x)):
         if bounded and may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
-            _, wall = wall_contact(axes, x, v, np.int64(0), 0.0, i, radius[i], NOBODY, h, planes)
+            _, wall = wall_contact(axes, x, v, np.int64(0), 0.0, i, radius[i], NO_PARTNER, h, planes)
             if wall >= 0:
                 return False
         for j in range(i):

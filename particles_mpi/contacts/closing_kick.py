@@ -64,6 +64,7 @@ class ClosingKick:
         if self.last is None:
             return
         p, (row, partner, time, fixed) = self.rows, self.last
+        self.forget()
         before = p.arrays.get("free_acceleration", p["total_acceleration"])
         if not self.rough:
             walls, pairs = partner < 0, partner >= 0
@@ -71,7 +72,7 @@ class ClosingKick:
             finish_bounces(p.velocity, before, a, *hits, len(hits[0]), self.h, self.planes.normal, self.planes.restitution)
             row, partner, time = row[pairs], partner[pairs], time[pairs]
         if self.ranks.size == 1 and not len(row):  # most steps of few particles, which would take twice as long
-            return self.forget()
+            return
         table = self.table(row, partner, time, fixed, a[row] - before[row])
         by, met = self.impulses(table)
         if self.ranks.size > 1:
@@ -79,7 +80,6 @@ class ClosingKick:
         p.velocity[row] += by[: len(row), : p.dimension]
         if self.rough:
             p["spin"][row] += by[: len(row), p.dimension :]
-        self.forget()
 
     def table(self, row: Array, partner: Array, time: Array, fixed: dict[str, Array], change: Array) -> dict[str, Array]:
         """Return a table of all partners of contacts: first our rows, then partners that are fixed, and walls."""

@@ -20,7 +20,7 @@ from particles_mpi.kernels.motion import free_drift
 from particles_mpi.kernels.turning import turn
 from particles_mpi.particles import Array, Particles, rows_with
 from particles_mpi.scene.active import ActiveEffects
-from particles_mpi.scene.calls import asked, number_from
+from particles_mpi.scene.calls import call_method, number_from
 from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, RollingResistance, WallContacts
 
 if TYPE_CHECKING:
@@ -43,13 +43,9 @@ class Drift:
     """
 
     def __init__(
-        self,
-        rows: Particles,
-        context: Context,
-        effects: ActiveEffects,
-        persistent: PersistentContacts | None,
+        self, rows: Particles, context: Context, effects: ActiveEffects, persistent: PersistentContacts | None,
         accelerations: Callable[[], Array | None],
-    ):
+    ):  # fmt: skip
         self.rows, self.context, self.effects, self.persistent = rows, context, effects, persistent
         self.totals, self.calls = dict.fromkeys(COUNTS, 0), Counter[str]()
         if persistent:
@@ -157,7 +153,7 @@ class Drift:
         changed = 0
         for name, event in events.items():
             with self.context.timers("events"):
-                changed += number_from(name, asked(name, event.act, self.rows, h))
+                changed += number_from(name, call_method(name, event.act, self.rows, h))
             self.calls[name] += 1
         if changed:
             self.rows.hold_fixed()

@@ -18,6 +18,8 @@ from particles_mpi.kernels.jit import in_place, inner, lean_in_place, lean_inner
 from particles_mpi.kernels.markers import NEVER
 from particles_mpi.kernels.motion import move_to
 
+TOGETHER2 = 1e-28  # of the squares of distance and speeds: that of their product where spheres move together but for round-off
+
 
 class Loss(NamedTuple):
     """The losses of a contact: `restitution` e acts on the normal velocity, then `velocity_factor` on the whole velocity."""
@@ -74,7 +76,7 @@ def contact_time(axes, x, v, start, i, j, diameter, h, length):
     own = 0.0
     for k in range(len(axes)):
         own += v[i, k] * v[i, k] + v[j, k] * v[j, k]
-    if b * b <= 1e-28 * r2 * own:  # together (e = 0) but for round-off is no approach
+    if b * b <= TOGETHER2 * r2 * own:  # together (e = 0) but for round-off is no approach
         return NEVER
     distance = sqrt(r2)
     gap = distance - diameter

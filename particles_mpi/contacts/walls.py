@@ -3,16 +3,28 @@
 The velocity of row i stands in `v[i, column:]`, because rows of mode event hold place, velocity and more in one array.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from particles_mpi.contacts.rough import FRICTION, strike_wall
 from particles_mpi.contacts.velocity_flow import change_of, row_of
 from particles_mpi.kernels.jit import lean, lean_inner
-from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.kernels.markers import NO_PARTNER
 from particles_mpi.kernels.motion import move_to
+from particles_mpi.particles import Array
 
 # Where so many bounces of one particle take less than that part of a step, it has no room, or bounces in a wedge without end.
 BOUNCES, LEAST_TIME = 1000, 1e-4
+
+
+class WallNotes(NamedTuple):
+    """What `drift_with_walls` notes of rows; of hits only if there is room. Kernels take it as a plain tuple."""
+
+    start: Array  # (n,): when the last segment of each row near a wall begins
+    row: Array  # with hits
+    wall: Array  # the last wall of each of these, as -1 - wall
+    time: Array  # of that hit
 
 
 @lean_inner
@@ -146,15 +158,14 @@ def bounce_until(axes, x, v, start, last_partner, i, radius, inverse_mass, h, pl
 
 
 @lean
-def drift_with_walls(axes, x, v, radius, inverse_mass, last, h, planes, rates, rough, reach, near):
+def drift_with_walls(axes, x, v, radius, inverse_mass, notes, h, planes, rates, rough, reach, near):
     """Do x += v h with reflections by walls. In place on x, v (n, d).
 
-    Returns (number of hits, number of rows that got nowhere, number of rows in `near`, number of rows in `last`). `inverse_mass`
-    (n,), or no row where nothing depends on it. last: (start (n,), rows, walls, times): start is when the last segment of each
-    row begins; the others, if they have room, list the rows with hits, the last wall of each as -1 - wall, and the time of that
-    hit. `near` (n,), if it has room, lists the rows that may be within `reach` of a wall at the end.
+    Returns (number of hits, number of rows that got nowhere, number of rows in `near`, number of rows in `notes`, a `WallNotes`).
+    `inverse_mass` (n,), or no row where nothing depends on it. `near` (n,), if it has room, lists the rows that may be within
+    `reach` of a wall at the end.
     """
-    start, last_row, last_wall, last_time = last
+    start, last_row, last_wall, last_time = notes
     hits, missed, found, noted = 0, 0, 0, 0
     for i in range(len(x)):
         if not may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i] + reach, h, planes):  # far from all walls, as most are
@@ -164,7 +175,7 @@ def drift_with_walls(axes, x, v, radius, inverse_mass, last, h, planes, rates, r
         start[i] = 0.0
         if may_hit(axes, x, v, np.int64(0), 0.0, i, radius[i], h, planes):
             w = inverse_mass[i] if len(inverse_mass) > 0 else 1.0
-            more, stuck, wall = bounce_until(axes, x, v, start, np.int64(NOBODY), i, radius[i], w, h, planes, rates, rough)
+            more, stuck, wall = bounce_until(axes, x, v, start, np.int64(NO_PARTNER), i, radius[i], w, h, planes, rates, rough)
             hits, missed = hits + more, missed + stuck
             if more > 0 and len(last_row) > 0:
                 last_row[noted], last_wall[noted], last_time[noted] = i, wall, start[i]

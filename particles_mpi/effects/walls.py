@@ -8,7 +8,7 @@ from particles_mpi.contacts.closing_kick import LastContacts
 from particles_mpi.contacts.law import loss
 from particles_mpi.contacts.rough import Rough, takes_energy
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.contacts.walls import drift_with_walls
+from particles_mpi.contacts.walls import WallNotes, drift_with_walls
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Particles
 from particles_mpi.scene.effect import FORWARD, EffectOptions, Needs, WallContacts
@@ -87,15 +87,12 @@ class Effect(WallContacts):
         self.law = np.array([(0.0, 0.0), *self.surfaces])
 
     def drift(self, particles: Particles, h: float, rates: Rates, noting: bool) -> tuple[int, int, LastContacts]:
-        p, axes = particles, (0,) * particles.dimension
+        p, d = particles, particles.dimension
         w = p.inverse_mass if rates.alpha or self.law.any() else np.empty(0)
-        fields = p.position, p.velocity, p.radius, w
-        d, spin = p.dimension, p.arrays.get("spin", np.empty((0, 1)))
-        rough = Rough(spin, p.inverse_inertia, self.law, np.empty(d), np.empty(d))
-        nobody = np.empty(0, np.int64)  # rows that end near walls are not listed
-        n = len(p) if noting else 0
-        row, wall, time = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
-        last = np.empty(len(p)), row, wall, time
-        hits, missed, _, noted = drift_with_walls(axes, *fields, last, h, tuple(self.planes), rates, rough, 0.0, nobody)
-        fixed = {"id": nobody, "place": np.empty((0, d)), "radius": np.empty(0)}
-        return hits, missed, LastContacts(row[:noted], wall[:noted], time[:noted], fixed)
+        fields = (0,) * d, p.position, p.velocity, p.radius, w
+        rough = Rough(p.arrays.get("spin", np.empty((0, 1))), p.inverse_inertia, self.law, np.empty(d), np.empty(d))
+        n, no_rows = len(p) if noting else 0, np.empty(0, np.int64)
+        notes = WallNotes(np.empty(len(p)), np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n))
+        hits, missed, _, noted = drift_with_walls(*fields, tuple(notes), h, tuple(self.planes), rates, rough, 0.0, no_rows)
+        fixed = {"id": no_rows, "place": np.empty((0, d)), "radius": np.empty(0)}
+        return hits, missed, LastContacts(notes.row[:noted], notes.wall[:noted], notes.time[:noted], fixed)

@@ -29,8 +29,8 @@ class Faults:
 
     def name(self, before: str, ids: Array, after: str = "") -> None:
         """Add a fault that names particles, if any rank gives some: "before particles 0, 1 and 7 after". Collective."""
-        if who := listed_ids(self.ranks, ids):
-            self.add(f"{before}{who}{after}")
+        if named := listed_ids(self.ranks, ids):
+            self.add(f"{before}{named}{after}")
 
     def stop(self) -> None:
         """Raise SceneError if there is a fault."""

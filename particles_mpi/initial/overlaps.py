@@ -101,15 +101,15 @@ def push_apart(ranks: Communicator, particles: Particles, room: Room) -> list[st
     """
     names = ("id", "position", "radius", "mass", "fixed")
     arrived = allgather_rows(ranks, {name: particles[name] for name in names})
-    everyone = Particles(particles.dimension, rows_of(arrived, np.argsort(arrived["id"])))
-    x, radius, w = everyone.position, everyone.radius, everyone.inverse_mass
-    line = line_of(everyone, room.length) if particles.dimension == 1 else None
+    spheres = Particles(particles.dimension, rows_of(arrived, np.argsort(arrived["id"])))
+    x, radius, w = spheres.position, spheres.radius, spheres.inverse_mass
+    line = line_of(spheres, room.length) if particles.dimension == 1 else None
     ends = (room.lower, room.upper) if not room.length[0] else (np.full(1, -np.inf), np.full(1, np.inf))  # of a line
     for sweep in range(MOST_SWEEPS + 1):
         if line:
             first, second, depth = crowded_on_line(x, radius, w, line)
         else:
-            first, second, depth = overlapping_pairs(x, radius, everyone.fixed != 0, everyone.id, room.length)
+            first, second, depth = overlapping_pairs(x, radius, spheres.fixed != 0, spheres.id, room.length)
         if not len(first) or sweep == MOST_SWEEPS:
             break
         if line:
@@ -118,10 +118,10 @@ def push_apart(ranks: Communicator, particles: Particles, room: Room) -> list[st
             separate(x, radius, w, first, second, room.lower, room.upper, room.length, room.point, room.normal)
     if line:
         wrap(x, room.lower, room.upper, room.length)
-    particles.position[...] = x[np.searchsorted(everyone.id, particles.id)]
+    particles.position[...] = x[np.searchsorted(spheres.id, particles.id)]
     if not len(first):
         return []
-    pairs = listed_pairs(Communicator.alone(), everyone.id[first], everyone.id[second])
+    pairs = listed_pairs(Communicator.alone(), spheres.id[first], spheres.id[second])
     left = f"{pairs} still overlap after {MOST_SWEEPS} sweeps"
     return [f"effects.collisions: {left} (deepest by {depth.max():.3g})"]
 

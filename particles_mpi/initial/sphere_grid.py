@@ -77,14 +77,14 @@ class SphereGrid:
         me = np.full(len(x), -1) if rows is None else rows
         return np.asarray(open_points(x, radius, me, self.x, self.radius, self.id, self.n, margin, self.grids))
 
-    def first_come(self, x: Array, radius: Array, who: Array, count: int, margin: float) -> tuple[int, Array]:
-        """Put spheres at x (n, d), one after the other; those that overlap, or whose `who` (n,) has a place, are left out.
+    def first_come(self, x: Array, radius: Array, particle: Array, count: int, margin: float) -> tuple[int, Array]:
+        """Put spheres at x (n, d), one after the other; those that overlap, or whose `particle` (n,) has a place, are left out.
 
         Returns (first row, which stay): they are rows from there on until `keep` is called.
         """
         first, last = self.append(x, radius, np.full(len(x), -1), enter=False)
         placed = np.zeros(count, np.bool_)
-        return first, first_come(first, last, who, placed, self.x, self.radius, self.id, margin, self.grids)
+        return first, first_come(first, last, particle, placed, self.x, self.radius, self.id, margin, self.grids)
 
 
 @lean_inner
@@ -151,11 +151,11 @@ def open_points(y, r, me, x, radius, ids, n, margin, grid):
 
 
 @kernel
-def first_come(first, last, who, placed, x, radius, ids, margin, grid):
-    """Enter those of the rows first ... last - 1 that overlap no others, unless their `who` is `placed`; returns which (bool)."""
+def first_come(first, last, particle, placed, x, radius, ids, margin, grid):
+    """Enter the rows first ... last - 1 that overlap none, if their `particle` is not `placed` yet; returns which (bool)."""
     stays, undecided = np.zeros(last - first, np.bool_), np.empty(0, np.int8)
     for i in range(first, last):
-        sphere = who[i - first]
+        sphere = particle[i - first]
         if not placed[sphere] and verdict(x[i], radius[i], i, x, radius, ids, last, undecided, margin, grid) == FREE:
             enter_spheres(x, i, i + 1, grid)
             stays[i - first] = placed[sphere] = True

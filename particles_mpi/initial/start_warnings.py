@@ -45,9 +45,9 @@ def endless_falls(scene: Scene, particles: Particles, ranks: Communicator) -> li
         drawn.append(("uniform_gravity.acceleration: not zero", axes[along]))
     if "user_acceleration" in scene.active and len(axes):
         pushed = (particles["acceleration"][:, axes] != 0.0) & (particles.fixed == 0)[:, None]
-        who = listed_ids(ranks, particles.id[pushed.any(axis=1)])
+        named = listed_ids(ranks, particles.id[pushed.any(axis=1)])
         along = ranks.allreduce_max(pushed.any(axis=0).astype(np.int64)) > 0
-        drawn.append((f"user_acceleration: not zero for {who}", axes[along]))
+        drawn.append((f"user_acceleration: not zero for {named}", axes[along]))
     return [
         f"effects.{what} along periodic {'axis' if len(along) == 1 else 'axes'} {' and '.join(map(str, along))}:"
         " such a force has no potential energy; potential and total_energy will be nan"

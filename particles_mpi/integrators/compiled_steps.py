@@ -7,18 +7,9 @@ from typing import NamedTuple
 
 from particles_mpi.contacts.walls import finish_bounces
 from particles_mpi.integrators.collocation import END, FORCES, STUCK, begin, copy, go_on
-from particles_mpi.integrators.step_parts import (
-    copy_rows,
-    invalid,
-    keep_on_walls,
-    kick_bodies,
-    move,
-    set_rates,
-    someone_meets,
-    sum_forces,
-)
+from particles_mpi.integrators.step_parts import invalid, keep_on_walls, kick_bodies, may_meet, move, set_rates, sum_forces
 from particles_mpi.kernels.jit import lean
-from particles_mpi.kernels.motion import kick
+from particles_mpi.kernels.motion import copy_rows, kick
 from particles_mpi.kernels.validity import WATCH_EVERY
 from particles_mpi.particles import Array
 
@@ -72,7 +63,8 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
                     pushed, rows = keep_on_walls(axes, bodies, losses, part, space, h, kicked, near)
                     resting += rows
             if drifted != 0.0:
-                if begun is not None and someone_meets(axes, bodies, space, drifted, begun):
+                if begun is not None and may_meet(axes, bodies, space, drifted):
+                    copy_rows(begun, bodies.v)
                     return step - 1, hits, missed, sums, known
                 if space.own_rates:
                     set_rates(axes, bodies, space, before, pushed, 0.5 * h)
@@ -83,7 +75,7 @@ def fixed_steps(axes, bodies, forces, losses, space, scheme, h, steps, watch, bu
             if scheme.taylor:
                 kick(bodies.v, rate, kicked)
         if noted > 0:
-            finish_bounces(bodies.v, space.rates, bodies.total, *space.last[1:], noted, h, space.planes[1], space.planes[2])
+            finish_bounces(bodies.v, space.rates, bodies.total, *space.notes[1:], noted, h, space.planes[1], space.planes[2])
         spent = step_ns * step + HIT * hits + ON_WALLS * resting
         if spent >= most_ns or (step >= watch and (step - watch) % WATCH_EVERY == 0 and invalid(axes, bodies, space)):
             return step, hits, missed, sums, known

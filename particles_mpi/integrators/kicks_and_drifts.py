@@ -15,7 +15,7 @@ from particles_mpi.kernels.motion import kick, kick_with_drag, press, release
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Array, Particles, to_read
 from particles_mpi.scene.active import ActiveEffects
-from particles_mpi.scene.calls import asked, call_in_place
+from particles_mpi.scene.calls import call_in_place, call_method
 from particles_mpi.scene.effect import Force
 from particles_mpi.scene.schema import Scene
 from particles_mpi.timers import Timers
@@ -102,7 +102,7 @@ class Accelerations:
         for name, force in self.forces.items():
             if type(force).potential is Force.potential:
                 continue
-            energy = asked(name, force.potential, to_read(p) if self.outside[name] else p)
+            energy = call_method(name, force.potential, to_read(p) if self.outside[name] else p)
             given = self.ranks.any(energy is not None) if self.outside[name] else energy is not None
             if given:
                 energy = energy if len(p) else np.zeros(0)  # what a rank without rows returns does not matter
@@ -149,7 +149,7 @@ class Kick:
                 call_in_place(name, flow.advance, particles, 0.5 * h)
             self.force_and_losses(particles, a, h, drift if a is None and not self.damping and not self.flows else 0.0)
             for name, flow in reversed(self.flows.items()):
-                asked(name, flow.advance, particles, 0.5 * h)
+                call_method(name, flow.advance, particles, 0.5 * h)
             if self.presses:
                 release(particles.velocity, a, *contacts, self.factors_of(particles, h)[1])
             if self.flows:
@@ -187,7 +187,7 @@ class Kick:
             return None
         total = np.zeros_like(particles.velocity)
         for name, flow in self.flows.items():
-            rate = asked(name, flow.rate, particles)
+            rate = call_method(name, flow.rate, particles)
             if np.shape(rate) != total.shape:
                 raise StoppedError(f"effects.{name}: its `rate` returned shape {np.shape(rate)}, and not {total.shape}")
             total += rate

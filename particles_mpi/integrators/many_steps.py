@@ -16,6 +16,7 @@ import numpy as np
 from particles_mpi.contacts.drift import Drift
 from particles_mpi.contacts.persistent.walls import Walls
 from particles_mpi.contacts.rough import no_spins
+from particles_mpi.contacts.walls import WallNotes
 from particles_mpi.gravity.direct import ONE_SUM
 from particles_mpi.integrators.collocation import END, STUCK, work_for
 from particles_mpi.integrators.compiled_steps import Scheme, adaptive_steps, fixed_steps
@@ -209,8 +210,8 @@ class ManySteps:
         reach = self.persistent.walls.reach(p.fixed, p[SUM], h) if on_walls.kept and n else 0.0
         smooth = no_spins(d, np.zeros((1 + len(planes.point), 2)))
         noting = n if effects.finishes_bounces else 0
-        last = np.empty(n), np.empty(noting, np.int64), np.empty(noting, np.int64), np.empty(noting)
-        space = Space(tuple(planes), bool(effects.walls), a, own, *box, last, smooth, reach, on_walls)
+        notes = WallNotes(np.empty(n), np.empty(noting, np.int64), np.empty(noting, np.int64), np.empty(noting))
+        space = Space(tuple(planes), bool(effects.walls), a, own, *box, tuple(notes), smooth, reach, on_walls)
         return RowsTogether(bodies, self.forces_on(p), self.losses_of(p, h), space)
 
     def forces_on(self, p: Particles) -> Forces:
@@ -234,8 +235,8 @@ class ManySteps:
         walls = persistent.walls if persistent else Walls(no_planes(d), NONE, NONE)
         supported = p["supported"] if persistent else np.empty(0, np.uint8)
         (point, normal), n = walls.planes, len(supported)
-        nobody = np.empty(n, np.int64)
-        room = nobody, nobody.copy(), np.empty((n, d)), nobody.copy(), np.empty((n, d))
+        scratch = np.empty(n, np.int64)
+        room = scratch, scratch.copy(), np.empty((n, d)), scratch.copy(), np.empty((n, d))
         return OnWalls(persistent is not None, (0.0,) * d, supported, point, normal, walls.faces, *room)
 
     def losses_of(self, p: Particles, h: float) -> StepLosses:

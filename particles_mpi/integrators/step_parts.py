@@ -79,7 +79,7 @@ class Space(NamedTuple):
     lower: Array  # (d,): of the box
     upper: Array
     length: Array
-    last: tuple[Array, Array, Array, Array]  # of `drift_with_walls`; room for hits only where the closing kick finishes bounces
+    notes: tuple[Any, ...]  # `WallNotes`, with room for hits only where the closing kick finishes bounces
     smooth: Rough  # for walls, which are not rough here
     reach: float  # rows that may be so near to walls are found, if contacts with walls last
     on_walls: OnWalls
@@ -153,9 +153,8 @@ def move(axes, bodies, space, strength, h, t_mid):
     if space.bounded:
         rates = Rates(space.rates, bodies.drag, strength, t_mid)
         fields = bodies.x, bodies.v, bodies.radius, bodies.inverse_mass
-        hits, missed, near, noted = drift_with_walls(
-            axes, *fields, space.last, h, space.planes, rates, space.smooth, space.reach, space.on_walls.near
-        )
+        walls = space.planes, rates, space.smooth, space.reach, space.on_walls.near
+        hits, missed, near, noted = drift_with_walls(axes, *fields, space.notes, h, *walls)
     else:
         free_drift(bodies.x, bodies.v, h)
     wrap(bodies.x, space.lower, space.upper, space.length)
@@ -181,20 +180,9 @@ def kick_bodies(bodies, forces, losses, space, part, h, drift):
 
 
 @in_place
-def copy_rows(given, into):
-    """into (n, d) = given."""
-    for i in range(given.shape[0]):
-        for k in range(given.shape[1]):
-            into[i, k] = given[i, k]
-
-
-@in_place
-def someone_meets(axes, bodies, space, h, begun):
-    """May a particle meet another one or a wall in a drift over h? Then velocities are set back to `begun`."""
-    if all_clear(axes, bodies.x, bodies.v, bodies.radius, h, space.length, space.bounded, space.planes):
-        return False
-    copy_rows(begun, bodies.v)
-    return True
+def may_meet(axes, bodies, space, h):
+    """May a particle meet another one or a wall in a drift over h?"""
+    return not all_clear(axes, bodies.x, bodies.v, bodies.radius, h, space.length, space.bounded, space.planes)
 
 
 @lean_inner

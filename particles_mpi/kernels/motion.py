@@ -4,14 +4,14 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from particles_mpi.kernels.jit import lean, lean_in_place, lean_inner
+from particles_mpi.kernels.jit import in_place, lean, lean_in_place, lean_inner
 
 
 class Segments(NamedTuple):
     """The straight segments of all rows in a drift: row i is at x + v (t - start) at time t after the drift began.
 
     x, v (n, d): place and velocity at the start of the row's present segment. start (n,): the time of that, 0 or that of the
-    row's last contact. last_partner (n,) int64: whom that contact was with, an id, a wall as -1 - wall, or `NOBODY`.
+    row's last contact. last_partner (n,) int64: whom that contact was with, an id, a wall as -1 - wall, or `NO_PARTNER`.
     """
 
     x: NDArray[Any]
@@ -29,6 +29,14 @@ def kick(v, a, h):
 
 
 free_drift = kick
+
+
+@in_place
+def copy_rows(given, into):
+    """into (n, d) = given."""
+    for i in range(given.shape[0]):
+        for k in range(given.shape[1]):
+            into[i, k] = given[i, k]
 
 
 @lean

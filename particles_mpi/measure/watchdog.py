@@ -30,7 +30,7 @@ class Watchdog:
         sums = self.ranks.allreduce_sum(np.array([*id_checksum(p.id), numbers >= 0, astray >= 0]))
         checksum, (not_finite, outside) = sums[:3], sums[3:]
         if (checksum != self.id_checksum).any():
-            raise StateError(f"step {step}: {self.who_is_lost(p)}")
+            raise StateError(f"step {step}: {self.describe_loss(p)}")
         if not_finite:
             require_finite(self.ranks, p, np.nan, f"step {step}")
         if outside:
@@ -41,7 +41,7 @@ class Watchdog:
                 mine = f"step {step}: particle {p.id[astray]} on rank {self.ranks.rank} is {where}, at ({place})"
             raise StateError(next(text for text in self.ranks.allgather(mine) if text))
 
-    def who_is_lost(self, p: Particles) -> str:
+    def describe_loss(self, p: Particles) -> str:
         """Return a text: which ids are missing or repeated. Collective; each rank looks at its range of ids."""
         ranks, span = self.ranks, self.span
         expected = (p.id >= span.first) & (p.id < span.end)
@@ -58,7 +58,7 @@ class Watchdog:
         if span.total < span.end - span.first:  # some were removed; their ids are not known
             missing = ranks.total(len(lost))[0] - (span.end - span.first - span.total)
             faults += [f"lost: {missing} particle{'s' if missing > 1 else ''}"] if missing > 0 else []
-        elif who := listed_ids(ranks, lost):
-            faults.append(f"lost: {who}")
+        elif named := listed_ids(ranks, lost):
+            faults.append(f"lost: {named}")
         faults += [f"present more than once: {'; '.join(twice)}"] if twice else []
         return "; ".join(faults) or "the particles are not the same as before"

@@ -20,6 +20,7 @@ from particles_mpi.particles import Array
 SLOWEST = 2.2  # times the mean bounding radius: rows beyond it are FAST, one in a hundred of a gas
 OVERSIZE_FACTOR = 8.0  # times the mean bounding radius: rows beyond it are OVERSIZE, if they are few
 FEW_OVERSIZE = 64
+SPARE_PAIRS = 256  # added to the room for pairs, where there are few
 EXPECTED = 6  # contacts of a sphere in a heap, twice what are needed to rest
 ALONE = 4  # times as long takes a test for a row that searches alone: its surroundings are not in the cache
 
@@ -54,25 +55,18 @@ class Candidates:
     """
 
     def __init__(
-        self,
-        x: Array,
-        v: Array,
-        spheres: Spheres,
-        length: Array,
-        planes: tuple[Any, ...],
-        horizon: Horizon,
-        region: HaloRegion,
+        self, x: Array, v: Array, spheres: Spheres, length: Array, planes: tuple[Any, ...], horizon: Horizon, region: HaloRegion,
         expected: int,
-    ):
+    ):  # fmt: skip
         self.x, self.v, self.spheres = x, v, spheres
         self.length, self.planes, self.horizon, self.region = length, planes, horizon, tuple(region)
         self.axes = (0,) * x.shape[1]
         self.time = 0.0  # since the search
         n = len(x)
         self.marked, self.chosen = np.zeros(n, np.bool_), np.empty(n, np.int32)  # scratch
-        self.pair_count = self.wall_count = self.tests = self.asked = 0
+        self.pair_count = self.wall_count = self.tests = self.seekers = 0
         self.room = room_for(0)
-        self.reserve(expected + expected // 4 + 256)
+        self.reserve(expected + expected // 4 + SPARE_PAIRS)
         self.wall_rows = np.empty(spheres.owned, np.int32)
         self.search()
 
@@ -150,10 +144,10 @@ class Candidates:
             if needed or done == count:
                 break
             rows = rows[:count]
-            self.reserve(len(self.room.first) + len(self.room.first) // 2 + 256)
+            self.reserve(len(self.room.first) + len(self.room.first) // 2 + SPARE_PAIRS)
         require_countable(self.pair_count, "candidate pairs")
         if why != ALL and not needed:
-            self.asked += count
+            self.seekers += count
         return float(needed)
 
 

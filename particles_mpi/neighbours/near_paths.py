@@ -66,7 +66,7 @@ class Waiting(NamedTuple):
     """Rows that wait for the test of their paths, which are prefetched, for each row that looks for partners."""
 
     around: Array  # (n + WAITING,) int32: the rows
-    asking: Array  # (WAITING,) int32: the row that looks for partners, for one part of `around` after the other
+    seeker: Array  # (WAITING,) int32: the row that looks for partners, for one part of `around` after the other
     until: Array  # (WAITING,) int32: where that part ends
     place: Array  # (WAITING, d): position of that row at the start of its path; on gridded axes that of the image in question
 
@@ -77,7 +77,7 @@ def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
 
     Pairs for which there is no room are only counted. waiting: a `Waiting`.
     """
-    around, asking, until, place = waiting.around, waiting.asking, waiting.until, waiting.place
+    around, seeker, until, place = waiting.around, waiting.seeker, waiting.until, waiting.place
     paths, _, spheres, _, _, length, marked, _, _ = holding
     path, _, bounding_radius, _, _ = paths
     end, tolerance, _ = horizon
@@ -86,7 +86,7 @@ def keep_pairs(axes, waiting, parts, holding, horizon, pairs, found):
     y = np.empty(len(axes))
     p = 0
     for part in range(parts):
-        i = np.int64(asking[part])
+        i = np.int64(seeker[part])
         window = end - path[i, 2 * len(axes)]
         for k in range(len(axes)):
             y[k] = place[part, k]

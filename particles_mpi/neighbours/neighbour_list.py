@@ -11,13 +11,13 @@ import numpy as np
 
 from particles_mpi.errors import StoppedError
 from particles_mpi.kernels.geometry import Box, wrap
-from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.kernels.markers import NO_PARTNER
 from particles_mpi.kernels.motion import Segments, end_segments
 from particles_mpi.neighbours.candidates import Candidates, Hits
 from particles_mpi.neighbours.cells import GRIDDED, bounds, order_in_space, spacing, too_narrow
 from particles_mpi.neighbours.halo_region import HaloRegion, Margins, everywhere, fetch_near_rows
 from particles_mpi.neighbours.pair_search import LEAVING, TURNED
-from particles_mpi.neighbours.pass_messages import OWN_ONLY, Active, message_width, who_is_concerned
+from particles_mpi.neighbours.pass_messages import OWN_ONLY, Active, message_width, rows_concerned
 from particles_mpi.neighbours.rebuild_interval import RebuildTuner
 from particles_mpi.neighbours.trajectories import Horizon, Spheres, fastest
 from particles_mpi.parallel.agreement import require_finite
@@ -122,7 +122,7 @@ class Neighbourhood:
     def forget_candidates(self) -> None:
         """Free the memory of the last search before the next one takes its own."""
         if self.searches:
-            self.work = self.tuner.work(len(self.x), self.candidates.tests, self.candidates.asked)
+            self.work = self.tuner.work(len(self.x), self.candidates.tests, self.candidates.seekers)
             del self.candidates, self.segments, self.active, self.rows, self.spheres, self.fields, self.x, self.v
             del self.spin, self.inverse_inertia
         self.version = -1
@@ -179,22 +179,22 @@ class Neighbourhood:
         """Fetch copies of all particles that may meet this rank's, and put them behind the owned rows. Collective."""
         particles = self.particles
         ranks, d, owned = self.ranks, particles.dimension, len(particles)
-        everyone = {name: column for name, column in particles.arrays.items() if field(name).ghost}
+        columns = {name: column for name, column in particles.arrays.items() if field(name).ghost}
         self.halo, region = None, everywhere(d)
         if ranks.size > 1:
             state = particles.position, particles.velocity, particles.radius
-            region, rows, counts, arrived, arriving = fetch_near_rows(ranks, everyone, state, horizon, self.length, margins)
+            region, rows, counts, arrived, arriving = fetch_near_rows(ranks, columns, state, horizon, self.length, margins)
             self.halo = Halo(ranks, rows, counts, arriving, owned, message_width(d))
             self.shared = np.zeros(owned + int(arriving.sum()), np.bool_)
             self.shared[rows] = self.shared[owned:] = True
             self.ghost_rows += len(arrived["id"])
-            everyone = self.row_buffers.append_ghosts(arrived)
-        self.fields, self.x, self.v = everyone, everyone["position"], everyone["velocity"]
-        known = Particles(d, everyone)
-        self.spheres = Spheres(everyone["radius"], known.inverse_mass, everyone["id"], owned)
-        self.spin, self.inverse_inertia = everyone.get("spin", np.empty((0, 1))), known.inverse_inertia
+            columns = self.row_buffers.append_ghosts(arrived)
+        self.fields, self.x, self.v = columns, columns["position"], columns["velocity"]
+        known = Particles(d, columns)
+        self.spheres = Spheres(columns["radius"], known.inverse_mass, columns["id"], owned)
+        self.spin, self.inverse_inertia = columns.get("spin", np.empty((0, 1))), known.inverse_inertia
         n = len(self.x)
-        self.segments = Segments(self.x, self.v, np.zeros(n), np.full(n, NOBODY))
+        self.segments = Segments(self.x, self.v, np.zeros(n), np.full(n, NO_PARTNER))
         self.active = Active(np.zeros(n, np.bool_), np.empty(n, np.int32), np.zeros(1, np.int64))
         self.rows = tuple(self.segments), tuple(self.spheres)
         self.position, self.version = particles.position, particles.version
@@ -202,7 +202,7 @@ class Neighbourhood:
 
     def concerned(self, hits: Hits) -> int:
         """Which rows the hits are about: OWN_ONLY, SHARED_ROWS or ACROSS."""
-        return int(who_is_concerned(self.shared, self.spheres.owned, hits.first, hits.second)) if self.halo else OWN_ONLY
+        return int(rows_concerned(self.shared, self.spheres.owned, hits.first, hits.second)) if self.halo else OWN_ONLY
 
     def follow(self, h: float) -> float:
         """Find, after a pass in the drift over h, candidates for the segments of the active rows.
@@ -218,7 +218,7 @@ class Neighbourhood:
         self.active.number[0] = 0
         for rows in (changed, slice(self.spheres.owned, None)):
             self.segments.start[rows] = 0.0
-            self.segments.last_partner[rows] = NOBODY
+            self.segments.last_partner[rows] = NO_PARTNER
 
     def advance(self, h: float) -> None:
         """Move all rows from the starts of their last segments to the end of the drift over h, and into a periodic box."""

@@ -82,8 +82,8 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
     by, images = np.zeros((3, 3)), np.ones(3, np.int64)
     middle, extent = np.empty(d), np.empty(g)
     middle32, firsts = np.empty(g, np.float32), np.empty(8, np.int64)
-    asking, until, place = np.empty(WAITING, np.int32), np.empty(WAITING, np.int32), np.empty((WAITING, d))
-    waiting = Waiting(around, asking, until, place)
+    seeker, until, place = np.empty(WAITING, np.int32), np.empty(WAITING, np.int32), np.empty((WAITING, d))
+    waiting = Waiting(around, seeker, until, place)
     listed = parts = tests = 0
     done, pairs_done, tests_done = begin, found, 0
     for m in range(begin, len(rows)):
@@ -113,7 +113,7 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
                 bring_near(d, path, i, other, length, place, parts)
                 around[listed] = other
                 listed += 1
-                asking[parts], until[parts] = i, listed
+                seeker[parts], until[parts] = i, listed
                 parts += 1
                 if parts == WAITING or listed >= WAITING:
                     found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
@@ -135,7 +135,7 @@ def find_partners(axes, rows, begin, everything, horizon, holding, pairs, found)
                     tests += tested
                     if near > listed:
                         listed = near
-                        asking[parts], until[parts] = i, listed
+                        seeker[parts], until[parts] = i, listed
                         parts += 1
                         if parts == WAITING or listed >= WAITING:
                             found = keep_pairs(axes, waiting, parts, holding, horizon, pairs, found)
@@ -170,20 +170,20 @@ def replace_candidates(axes, rows, begin, why, segments, drift, horizon, holding
     count = np.int64(len(rows))
     if why == TURNED and begin < 0:
         count = rows_turned(segments[0], segments[1], segments[2], paths[0], rows, time, horizon, length)
-    asking = rows[:count]
+    seekers = rows[:count]
     if begin < 0:
         begin = 0
         if why != ALL and count > 0:
-            needed, until = renew_paths(asking, segments, owned, paths, region, horizon, length, time, h)
+            needed, until = renew_paths(seekers, segments, owned, paths, region, horizon, length, time, h)
             if needed != 0.0:
                 return needed, until, found, walls, 0, count, 0
-            move_rows(asking, paths, owned, cells)
-        found = drop_pairs(asking, marked, pairs, found)
+            move_rows(seekers, paths, owned, cells)
+        found = drop_pairs(seekers, marked, pairs, found)
     valid = (until, horizon[1], horizon[2])
-    found, tests, done = find_partners(axes, asking, begin, why == ALL, valid, holding, pairs, found)
+    found, tests, done = find_partners(axes, seekers, begin, why == ALL, valid, holding, pairs, found)
     if done == count:
         if len(planes[0]) > 0:
-            walls = find_near_walls(asking, paths[0], valid, owned, planes, marked, wall_rows, walls)
-        for i in asking:
+            walls = find_near_walls(seekers, paths[0], valid, owned, planes, marked, wall_rows, walls)
+        for i in seekers:
             marked[i] = False
     return 0.0, until, found, walls, tests, count, done

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.kernels.jit import kernel
-from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.kernels.markers import NO_PARTNER
 from particles_mpi.kernels.motion import Segments
 from particles_mpi.neighbours.rank_boxes import index_of
 from particles_mpi.parallel.halo import Halo
@@ -62,7 +62,7 @@ def exchange_segments(halo: Halo, active: Active, segments: Segments, spin: Arra
 
 
 @kernel
-def who_is_concerned(shared, owned, first, second):
+def rows_concerned(shared, owned, first, second):
     """Return ACROSS if one of the hits of rows (first, second) is with a ghost, SHARED_ROWS if `shared` marks a row, else
     OWN_ONLY.
     """
@@ -90,7 +90,7 @@ def pack_selections(rows, selected, first_rows, second_rows, owned, marked, word
             for i in (first_rows[p], second_rows[p]):
                 if 0 <= i < owned and marked[i] != packing:
                     marked[i] = packing
-                    place = index_of(i, rows) if packing and selected[i] != NOBODY else -1
+                    place = index_of(i, rows) if packing and selected[i] != NO_PARTNER else -1
                     if place >= 0:
                         words[size] = place
                         words[size + 1] = selected[i]

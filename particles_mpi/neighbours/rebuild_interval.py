@@ -4,7 +4,7 @@ MOST_STEPS = 400
 STRIDE = 0.15  # of the steps, from one try to the next
 WORSE = 1.003  # times the cost before: above it the cost has risen
 # Costs of a search, a row in it, a row that searches alone, a pair in a step; in the time of one pair test (about 5 ns).
-SEARCH_COST, ROW_COST, ASKED_COST, PAIR_COST = 2e4, 50.0, 100.0, 1.0
+SEARCH_COST, ROW_COST, SEEKER_COST, PAIR_COST = 2e4, 50.0, 100.0, 1.0
 
 
 class RebuildTuner:
@@ -23,9 +23,9 @@ class RebuildTuner:
         self.lasted += 1
         self.pair_steps += pairs
 
-    def work(self, rows: int, tests: int, asked: int) -> float:
-        """Return what the candidates have cost this rank since their search; `asked`: rows that looked for partners alone."""
-        return SEARCH_COST + ROW_COST * rows + tests + ASKED_COST * asked + PAIR_COST * self.pair_steps
+    def work(self, rows: int, tests: int, seekers: int) -> float:
+        """Return what the candidates have cost this rank since their search; `seekers`: rows that looked for partners alone."""
+        return SEARCH_COST + ROW_COST * rows + tests + SEEKER_COST * seekers + PAIR_COST * self.pair_steps
 
     def next(self, work: float, crossing: float) -> int:
         """Return for how many steps the next candidates hold; `work`: that of all ranks since the last search.

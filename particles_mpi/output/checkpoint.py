@@ -77,11 +77,11 @@ def _write(path: Path, ranks: Communicator, columns: dict[str, Array], facts: di
         writes = [(places[name] + first[name] * row_bytes(column), column) for name, column in columns.items() if len(column)]
         _write_all(part, ranks, writes, task)
         pieces = {name: _pieces(column, first[name]) for name, column in columns.items()}
-        everyone = ranks.comm.gather(pieces) or []
+        gathered = ranks.comm.gather(pieces) or []
         with failing_together(ranks, task):
             if ranks.is_root:
                 sizes = {name: [places[name], row_bytes(column)] for name, column in columns.items() if total[name]}
-                crcs = {name: [piece for of in everyone for piece in of[name]] for name in sizes}
+                crcs = {name: [piece for of in gathered for piece in of[name]] for name in sizes}
                 _replace(path, sizes, crcs)
     except BaseException:
         if ranks.is_root:

@@ -23,15 +23,15 @@ class Uncut(io.FileIO):
 
     def __init__(self, path: Path):
         super().__init__(path, "r+")
-        self.asked: int | None = None  # how long HDF5 wants it to be
+        self.wanted: int | None = None  # how long HDF5 wants it to be
 
     def truncate(self, size: int | None = None) -> int:
-        self.asked = self.tell() if size is None else size
-        return super().truncate(self.asked) if self.asked > os.fstat(self.fileno()).st_size else self.asked
+        self.wanted = self.tell() if size is None else size
+        return super().truncate(self.wanted) if self.wanted > os.fstat(self.fileno()).st_size else self.wanted
 
     def cut(self) -> None:
-        if self.asked is not None:
-            super().truncate(self.asked)
+        if self.wanted is not None:
+            super().truncate(self.wanted)
 
 
 def chunk_bytes(datasets: Iterable[Any]) -> int:

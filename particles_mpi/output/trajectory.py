@@ -57,17 +57,9 @@ class Trajectory(Continuing):
     """
 
     def __init__(
-        self,
-        path: Path,
-        ranks: Communicator,
-        fields: list[str],
-        dimension: int,
-        total: int,
-        resume_step: int | None = None,
-        last: int | None = None,
-        last_count: int | None = None,
-        planned: int = 1,
-    ):
+        self, path: Path, ranks: Communicator, fields: list[str], dimension: int, total: int, resume_step: int | None = None,
+        last: int | None = None, last_count: int | None = None, planned: int = 1,
+    ):  # fmt: skip
         self.dimension, self.last_count, self.planned = dimension, total if last_count is None else last_count, planned
         frame = frame_arrays({name: default_values(name, 0, dimension) for name in fields}, dimension)
         self.columns = {layout.place_of(name): (rows.shape[1:], rows.dtype) for name, rows in frame.items()}

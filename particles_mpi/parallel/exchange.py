@@ -84,12 +84,12 @@ def allgather_rows(ranks: Communicator, arrays: dict[str, Array]) -> dict[str, A
     counts = ranks.allgather_array(np.array(n))
     require_countable(int(counts.sum()), "rows of all ranks")
     words = -(row_bytes(*arrays.values()) * counts // -WORD)
-    everyone, first_words = np.empty(int(words.sum()), np.int64), starts(words)
-    messages = {p: everyone[first:last] for p, first, last in parts(words)}
-    for name, part in unpacked(everyone[first_words[ranks.rank] :], n, arrays):
+    all_words, first_words = np.empty(int(words.sum()), np.int64), starts(words)
+    messages = {p: all_words[first:last] for p, first, last in parts(words)}
+    for name, part in unpacked(all_words[first_words[ranks.rank] :], n, arrays):
         part[:] = arrays[name]
-    if len(everyone) <= MOST_WORDS:
-        ranks.comm.Allgatherv(MPI.IN_PLACE, [everyone, (words, first_words)])
+    if len(all_words) <= MOST_WORDS:
+        ranks.comm.Allgatherv(MPI.IN_PLACE, [all_words, (words, first_words)])
     else:
         for p, message in messages.items():
             for piece in in_pieces(message):

@@ -120,8 +120,8 @@ class Launcher:
     """The mpirun that this process starts and looks after."""
 
     def __init__(self, command: list[str]):
-        asking = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-        signal.pthread_sigmask(signal.SIG_BLOCK, asking)  # which a child inherits
+        handled = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+        signal.pthread_sigmask(signal.SIG_BLOCK, handled)  # which a child inherits
         self.requests = 0
         self.code: int | None = None
         self.stderr, end = os.pipe()
@@ -129,19 +129,19 @@ class Launcher:
         if self.pid == 0:
             become(command, end)
         os.close(end)
-        for number in asking:
+        for number in handled:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as nohup wants it
-                signal.signal(number, self.ask)
+                signal.signal(number, self.handle_signal)
         for number in (signal.SIGUSR1, signal.SIGUSR2):
             signal.signal(number, lambda number, _: self.send(number))
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, asking)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, handled)
 
     def send(self, number: int) -> None:
         """Send a signal to mpirun, if it has not ended."""
         if self.code is None:
             os.kill(self.pid, number)
 
-    def ask(self, *_: object) -> None:
+    def handle_signal(self, *_: object) -> None:
         """The handler of a user's signals: the first one is passed on to mpirun as SIGUSR1, the third one kills it."""
         self.requests += 1
         if self.requests == 2:

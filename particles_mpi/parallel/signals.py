@@ -32,11 +32,11 @@ def exit_on_signals() -> None:
 class SignalCaught:
     """Keeps the time of the first signal, for `check_signals`, and how many seconds (`grace`) a step has to end after it."""
 
-    asked_at, begun, grace = np.inf, -np.inf, GRACE  # begun: when the present step did
+    signalled_at, begun, grace = np.inf, -np.inf, GRACE  # begun: when the present step did
 
-    def ask(self, *_: object) -> None:
+    def note_signal(self, *_: object) -> None:
         """The signal handler: note the time of the first signal."""
-        self.asked_at = min(self.asked_at, perf_counter())
+        self.signalled_at = min(self.signalled_at, perf_counter())
 
 
 class StopRequest(SignalCaught):
@@ -49,7 +49,7 @@ class StopRequest(SignalCaught):
         self.enough = False  # has this rank seen all that it wanted to see? Then the run ends as after a signal
         self.polled, self.step, self.next = perf_counter(), 0, 0
         caught = SIGNALS if current_thread() is main_thread() else ()  # no other thread may catch any
-        self.before = {number: signal.signal(number, self.ask) for number in caught}
+        self.before = {number: signal.signal(number, self.note_signal) for number in caught}
         _requests.append(self)
 
     def poll(self, step: int) -> bool:
@@ -58,7 +58,7 @@ class StopRequest(SignalCaught):
             return False
         now = perf_counter()
         pace = (now - self.polled) / max(step - self.step, 1)
-        over = self.enough or self.asked_at < np.inf or now + self.reserve > self.end
+        over = self.enough or self.signalled_at < np.inf or now + self.reserve > self.end
         stop, pace = self.ranks.allreduce_max(np.array([over, pace]))
         self.polled, self.step = now, step
         self.next = step + int(min(max(POLL_SECONDS / max(pace, 1e-9), 1), POLL_STEPS))
@@ -89,14 +89,14 @@ class HeldInterrupt(SignalCaught):
     def __enter__(self) -> None:
         self.held = getsignal(signal.SIGINT) is signal.default_int_handler and current_thread() is main_thread()
         if self.held:
-            set_handler(signal.SIGINT, self.ask)
+            set_handler(signal.SIGINT, self.note_signal)
             _requests.append(self)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self.held:
             _requests.remove(self)
             set_handler(signal.SIGINT, signal.default_int_handler)
-            if self.asked_at < np.inf and kind is None:
+            if self.signalled_at < np.inf and kind is None:
                 raise KeyboardInterrupt
 
 
@@ -109,5 +109,5 @@ def check_signals() -> None:
     A signal that came before the step began, as while a frame was written, leaves the step as much time as one that comes then.
     """
     for request in _requests:
-        if perf_counter() > max(request.asked_at, request.begun) + request.grace:
+        if perf_counter() > max(request.signalled_at, request.begun) + request.grace:
             raise KeyboardInterrupt("stopped in the middle of a long step: continue from the last checkpoint")

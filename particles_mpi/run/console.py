@@ -66,11 +66,11 @@ def watched() -> bool:
         return False
 
 
-def tell_of_compiling(dimension: int) -> None:
+def announce_compiling(dimension: int) -> None:
     """Print a line, once, if this process has to compile a kernel from now on; set-up compiles those up to dimension 3."""
     from numba.core import event
 
-    class Teller(event.Listener):
+    class CompilingNotice(event.Listener):
         warned = False
 
         def on_start(self, _: Any) -> None:
@@ -81,7 +81,7 @@ def tell_of_compiling(dimension: int) -> None:
         def on_end(self, _: Any) -> None:
             pass
 
-    event.register("numba:compile", Teller())
+    event.register("numba:compile", CompilingNotice())
 
 
 class SteadyConsole(Console):

@@ -67,7 +67,7 @@ class Energies:
         return [f"total energy: changed from {self.first:.4g} to {self.last:.4g}, though {why}: shorten time.step{better}"]
 
 
-def tell_end(
+def report_end(
     sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], phases: dict[str, float],
     first: int, energies: Energies, ended: bool,
 ) -> None:  # fmt: skip
@@ -85,8 +85,8 @@ def tell_end(
         say(f"{windows} time windows verified between the ranks, {redone} computed again ({100 * redone / windows:.1f} %)")
     for remark in remarks:
         say(remark)
-    told = {"ended": ended, "timed_from": first, "timers": timers, "phases": PHASES, "remarks": remarks}
-    about = about_run(sim, plan) | told | {"counts": {"steps": sim.steps_done, **counts}}
+    outcome = {"ended": ended, "timed_from": first, "timers": timers, "phases": PHASES, "remarks": remarks}
+    about = about_run(sim, plan) | outcome | {"counts": {"steps": sim.steps_done, **counts}}
     write_text(folder / "run.json", sim.ranks, json.dumps(about, indent=2) + "\n")
     formats, shown = sim.scene.output.formats, quote(str(folder))
     if formats:
@@ -104,10 +104,10 @@ def tell_end(
 
 def phase_seconds(sim: Any, seconds: dict[str, float], phases: dict[str, float]) -> dict[str, dict[str, float]]:
     """Least, mean and largest seconds among the ranks of the set-up, the loop, and each phase of it. Collective."""
-    everyone = sim.ranks.allgather({**seconds, **phases, "other": seconds["loop"] - sum(phases.values())})
+    of_ranks = sim.ranks.allgather({**seconds, **phases, "other": seconds["loop"] - sum(phases.values())})
     result = {}
-    for name in [*seconds, *sorted(set().union(*everyone) - seconds.keys())]:
-        values = [one.get(name, 0.0) for one in everyone]
+    for name in [*seconds, *sorted(set().union(*of_ranks) - seconds.keys())]:
+        values = [one.get(name, 0.0) for one in of_ranks]
         result[name] = {"min": min(values), "mean": sum(values) / len(values), "max": max(values)}
     return result
 

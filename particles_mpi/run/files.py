@@ -31,15 +31,17 @@ class RunFiles:
     """Claims a folder for a run, opens its files, and writes them. Collective throughout.
 
     `plan`: that of the run. `resumed`: does it go on from a checkpoint? `own`: from the one in this folder? `continues`: is it
-    the run in the folder that goes on? `written`: the last row and frame there.
+    the run in the folder that goes on?
     """
 
     def __init__(self, sim: Any, folder: Path, plan: dict[str, Any], *, resumed: bool, own: bool, overwrite: bool):
         self.sim, self.folder, self.ranks = sim, folder, sim.ranks
         about = scene_and_folder(sim.scene) | {"plan": plan | {"not_run": [{"effect": name} for name in plan["not_run"]]}}
         self.continues, self.lock = run_folder.claim(folder, self.ranks, about, resumed, overwrite, own)
-        self.written = sim.written = sim.written if self.continues else {"row": -1, "frame": -1}
-        shows_fixed = self.written.setdefault("fixed", int(plan["fixed"] > 0))
+        self.record = sim.output_record
+        if not self.continues:
+            self.record.written = {"row": -1, "frame": -1}
+        shows_fixed = self.record.written.setdefault("fixed", int(plan["fixed"] > 0))
         if plan["fixed"] and not shows_fixed:
             sim.warnings.append(f"output: frames in {folder} do not show which particles are fixed: none was in the first frame")
         try:
@@ -52,7 +54,7 @@ class RunFiles:
         """Open the writers. Each checks its file before the first one changes its own. `about`: for `run.json`."""
         sim, ranks, output, d = self.sim, self.ranks, self.sim.scene.output, self.sim.scene.dimension
         step = sim.steps_done if self.continues else None
-        frame, row, last_count = (self.written.get(name) for name in ("frame", "row", "frame_particles"))
+        frame, row, last_count = (self.record.written.get(name) for name in ("frame", "row", "frame_particles"))
         self.frames: list[Any] = []
         if "hdf5" in output.formats:
             from particles_mpi.output.trajectory import Trajectory
@@ -85,27 +87,27 @@ class RunFiles:
     def shown(self) -> dict[str, Array]:
         """Return the fields of a frame; `fixed` only if a particle was fixed when the first frame was written."""
         arrays = self.sim.rows.arrays
-        return {n: a for n, a in arrays.items() if field(n).output and (n != "fixed" or self.written["fixed"])}
+        return {n: a for n, a in arrays.items() if field(n).output and (n != "fixed" or self.record.written["fixed"])}
 
     def write_row(self, extra: bool = False) -> dict[str, Any]:
         """Write a row of diagnostics.csv: the state, and what happened since the row before.
 
         An `extra` row at the end of a run is ignored by the next row, and is removed when the run goes on.
         """
-        sim = self.sim
-        before = sim.reported, sim.observed["row"].copy(), self.written["row"]
+        sim, record = self.sim, self.record
+        before = record.reported, record.observed["row"].copy(), record.written["row"]
         with sim.timers("diagnostics"):
             state = sim.measure(row=True)
             totals = self.ranks.total(*(sim.totals[name] for name in COUNTS))
             most = self.ranks.largest(len(sim.rows))[0]
             row = {"step": sim.steps_done, "time": sim.time, "particles": sim.total, **state}
-            row |= {name: now - then for name, now, then in zip(COUNTS, totals, sim.reported)}
+            row |= {name: now - then for name, now, then in zip(COUNTS, totals, record.reported)}
             row["imbalance"] = most * self.ranks.size / sim.total if sim.total else 1.0
-            sim.reported = list(totals)
+            record.reported = list(totals)
             self.diagnostics.write(row)
-            self.written["row"] = sim.steps_done
+            record.written["row"] = sim.steps_done
         if extra:
-            sim.reported, sim.observed["row"], self.written["row"] = before
+            record.reported, record.observed["row"], record.written["row"] = before
         collisions, wall_hits, missed, *_ = totals
         return {**row, "hits_so_far": collisions + wall_hits, "missed_so_far": missed}
 
@@ -123,7 +125,7 @@ class RunFiles:
             shown = self.shown()
             for writer in self.frames:
                 writer.write(self.sim.steps_done, self.sim.time, shown, self.sim.ids)
-            self.written |= {"frame": self.sim.steps_done, "frame_particles": self.sim.total}
+            self.record.written |= {"frame": self.sim.steps_done, "frame_particles": self.sim.total}
 
     def save(self) -> None:
         """Write a checkpoint with the exact state, which replaces the one before."""
@@ -137,17 +139,17 @@ class RunFiles:
                 writer.wait_for_disk()
             metadata = sim.metadata()
             past = {"counts": run_counts(sim), "calls": sim.calls, "remarks": sim.drift.remarks_of_operators()}
-            kept = metadata | {"reported": sim.reported, "written": self.written, "past": past}
+            kept = metadata | {"reported": self.record.reported, "written": self.record.written, "past": past}
             state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
             state["effect_files"] = json.dumps(sim.scene.digests())
             path, d = self.folder / "checkpoint.h5", sim.scene.dimension
             checkpoint.save(path, self.ranks, sim.rows.arrays, sim.ids, d, state, sim.lasting_contacts())
-        sim.saved = self.folder.resolve(), sim.steps_done, identity_of(path, self.ranks)
+        self.record.saved = self.folder.resolve(), sim.steps_done, identity_of(path, self.ranks)
 
     def dump(self, error: StateError) -> StateError:
         """Write all rows of an invalid state to `stopped.h5`; returns the error with a text that names the file."""
         sim, path = self.sim, self.folder / "stopped.h5"
-        safe = "; the last checkpoint is intact" if sim.saved or self.continues else ""
+        safe = "; the last checkpoint is intact" if self.record.saved or self.continues else ""
         try:
             checkpoint.dump(path, self.ranks, sim.rows.arrays, {"step": sim.steps_done, "error": str(error)})
         except StoppedError as failure:  # the first error must be raised all the same

@@ -13,7 +13,7 @@ from particles_mpi.output.files import identity_of
 from particles_mpi.parallel.agreement import await_all, same_on_all
 from particles_mpi.parallel.signals import StopRequest
 from particles_mpi.run.console import Screen
-from particles_mpi.run.ending import PROGRAM, Energies, tell_end
+from particles_mpi.run.ending import PROGRAM, Energies, report_end
 from particles_mpi.run.files import RunFiles
 from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
@@ -30,23 +30,13 @@ class Job:
     """
 
     def __init__(
-        self,
-        sim: Any,
-        folder: Path,
-        *,
-        quiet: bool = False,
-        overwrite: bool = False,
-        resumed: bool = False,
-        steps: int | None = None,
-        wall_time: float | None = None,
-        setup_began: float | None = None,
-        rehearsal: bool = False,
-        notes: Sequence[str] = (),
-        scene_file: Path | None = None,
-    ):
+        self, sim: Any, folder: Path, *, quiet: bool = False, overwrite: bool = False, resumed: bool = False,
+        steps: int | None = None, wall_time: float | None = None, setup_began: float | None = None, rehearsal: bool = False,
+        notes: Sequence[str] = (), scene_file: Path | None = None,
+    ):  # fmt: skip
         self.sim, self.folder, self.scene, self.ranks = sim, folder, sim.scene, sim.ranks
         known = identity_of(folder / "checkpoint.h5", self.ranks)
-        own = known is not None and sim.saved == (folder.resolve(), sim.steps_done, known)
+        own = known is not None and sim.output_record.saved == (folder.resolve(), sim.steps_done, known)
         self.resumed = resumed or (own and not overwrite)  # a simulation goes on with its own run
         limit: Any = wall_time  # a script may give anything
         options = {"output": str(folder), "steps": steps, "overwrite": overwrite, "resume": self.resumed}
@@ -84,7 +74,7 @@ class Job:
                 return
             seconds = {"setup": setup, "loop": perf_counter() - begin}
             phases = {name: total - before.get(name, 0.0) for name, total in sim.timers.seconds.items()}
-            tell_end(sim, self.plan, self.folder, self.screen, seconds, phases, begun_with, self.energies, not stopped)
+            report_end(sim, self.plan, self.folder, self.screen, seconds, phases, begun_with, self.energies, not stopped)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.files.give_up()
@@ -140,7 +130,7 @@ class Job:
             if n % output.checkpoint_every == 0 or final:
                 self.save()
             if pace and (forecast := pace.due_forecast()) and (n < self.last or self.rehearsal):
-                self.foretell(forecast)
+                self.print_forecast(forecast)
             if n >= shown + SHOW_EVERY:
                 shown = n
                 show(n, row)
@@ -156,7 +146,7 @@ class Job:
         self.energies.add(row["total_energy"], row["kinetic"])
         return row
 
-    def foretell(self, forecast: Forecast) -> None:
+    def print_forecast(self, forecast: Forecast) -> None:
         """Print how long the run takes, and print it again if that changes."""
         before = self.forecast
         if before and before.least <= forecast.seconds <= before.most:

@@ -20,7 +20,7 @@ def given_path(text: str) -> Path:
 
 def load(path: Path, quiet: bool = True) -> Any:
     """Load the scene of a file: the same on all ranks, or refused. Unless `quiet`, tell the user of compiling. Collective."""
-    from particles_mpi.run.console import tell_of_compiling
+    from particles_mpi.run.console import announce_compiling
     from particles_mpi.scene.schema import Scene
 
     ranks = Communicator()
@@ -28,5 +28,5 @@ def load(path: Path, quiet: bool = True) -> Any:
         described = Scene.load(path)
     same_on_all(ranks, described.to_dict())
     if ranks.is_root and not quiet:
-        tell_of_compiling(described.dimension)
+        announce_compiling(described.dimension)
     return described

@@ -23,8 +23,8 @@ def slurm_limit() -> tuple[float | None, str]:
         return None, ""
     try:
         end = os.environ.get("SLURM_JOB_END_TIME")  # since the epoch; older versions of Slurm do not tell it
-        ask = ["squeue", "-h", "-j", job, "-o", "%L"]
-        text = "" if end else check_output(ask, stderr=DEVNULL, text=True, timeout=SQUEUE_SECONDS).strip()
+        command = ["squeue", "-h", "-j", job, "-o", "%L"]
+        text = "" if end else check_output(command, stderr=DEVNULL, text=True, timeout=SQUEUE_SECONDS).strip()
         if text == "UNLIMITED":
             return None, ""
         left = float(end) - time() if end else parse_time(text)

@@ -6,7 +6,7 @@ import numpy as np
 
 from particles_mpi.particles import ALWAYS, BUILT_IN, FIELDS, Array
 from particles_mpi.scene import effect as kinds
-from particles_mpi.scene.calls import asked, built
+from particles_mpi.scene.calls import built, call_method
 from particles_mpi.scene.schema import Scene
 
 Kind = TypeVar("Kind", bound=kinds.Effect)
@@ -41,7 +41,7 @@ class ActiveEffects:
     def bind(self, context: kinds.Context) -> None:
         """Give all effects the context: ranks, ids, timers and the box. Collective."""
         for name, effect in self.all.items():
-            asked(name, effect.bind, context)
+            call_method(name, effect.bind, context)
 
     def names(self, *of: type[kinds.Effect]) -> list[str]:
         """Names of the effects of these kinds."""

@@ -12,7 +12,7 @@ from particles_mpi.errors import SceneError, StoppedError, one_line
 from particles_mpi.scene.effect import Effect, EffectOptions, Event, Force, VelocityFlow
 
 
-def told(name: str, what: str, error: BaseException) -> str:
+def error_message(name: str, what: str, error: BaseException) -> str:
     """Return the message about an error in the code of effect `name`; `what` says which part of it failed."""
     return f"effects.{name}: {what}: {type(error).__name__}: {one_line(error)}"
 
@@ -23,7 +23,7 @@ def faults_in(name: str, options: EffectOptions, scene: Any) -> list[str]:
         found: Any = options.faults(scene) or []
         return [f"effects.{name}.{fault}" for fault in ([found] if isinstance(found, str) else found)]
     except (Exception, SystemExit) as error:
-        raise SceneError(told(name, "its `faults` failed", error)) from error
+        raise SceneError(error_message(name, "its `faults` failed", error)) from error
 
 
 def built(name: str, options: EffectOptions, scene: Any) -> Any:
@@ -36,7 +36,7 @@ def built(name: str, options: EffectOptions, scene: Any) -> Any:
     except SceneError:
         raise
     except (Exception, SystemExit) as error:
-        raise SceneError(told(name, "it cannot be made", error)) from error
+        raise SceneError(error_message(name, "it cannot be made", error)) from error
 
 
 def names_taken(effect: Any, dimension: int) -> list[str]:
@@ -47,7 +47,7 @@ def names_taken(effect: Any, dimension: int) -> list[str]:
     return taken + ["g"] * (g is not None and np.shape(g) != (dimension,))
 
 
-def asked(name: str, method: Callable[..., Any], *arguments: Any) -> Any:
+def call_method(name: str, method: Callable[..., Any], *arguments: Any) -> Any:
     """Call a method of an effect and return its value. If it fails, StoppedError names effect, file and line."""
     try:
         return method(*arguments)
@@ -57,12 +57,12 @@ def asked(name: str, method: Callable[..., Any], *arguments: Any) -> Any:
         own = getattr(sys.modules.get(getattr(method, "__module__", "")), "__file__", None)
         calls = [call for call in traceback.extract_tb(error.__traceback__) if call.filename == own]
         where = f" (at {Path(calls[-1].filename).name}:{calls[-1].lineno} {calls[-1].name})" if calls else ""
-        raise StoppedError(told(name, f"its `{getattr(method, '__name__', 'method')}` failed", error) + where) from error
+        raise StoppedError(error_message(name, f"its `{getattr(method, '__name__', 'method')}` failed", error) + where) from error
 
 
 def call_in_place(name: str, method: Callable[..., Any], *arguments: Any) -> None:
     """Call a method of an effect that changes arrays in place. Raises StoppedError if it returns a value, which would be lost."""
-    if asked(name, method, *arguments) is not None:
+    if call_method(name, method, *arguments) is not None:
         raise StoppedError(f"effects.{name}: its `{method.__name__}` must change the arrays that it is given, and return nothing")
 
 

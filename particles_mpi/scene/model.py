@@ -50,7 +50,7 @@ class Model(BaseModel):
 
     def running(self) -> Self:
         """Return a copy, with copies of all tables within, which a simulation uses and which can no longer be changed."""
-        copy = self.model_copy(update={name: sealed(value) for name, value in self})
+        copy = self.model_copy(update={name: frozen_copy(value) for name, value in self})
         copy._running = True
         return copy
 
@@ -69,7 +69,7 @@ def python_values(value: Any) -> Any:
     return value
 
 
-def held(value: Any) -> list[Any]:
+def values_in(value: Any) -> list[Any]:
     """Return all objects in a table and in the tables within it: keys, values, and entries of lists of tables or texts."""
     if isinstance(value, BaseModel):
         parts = [inner for _, inner in value]
@@ -77,15 +77,15 @@ def held(value: Any) -> list[Any]:
         parts = [*value, *value.values()]
     else:  # nothing of a list of numbers, which may be very long
         parts = value if value and isinstance(value[0], BaseModel | dict | str) else []
-    return parts + [part for inner in parts if isinstance(inner, list | dict | BaseModel) for part in held(inner)]
+    return parts + [part for inner in parts if isinstance(inner, list | dict | BaseModel) for part in values_in(inner)]
 
 
-def sealed(value: Any) -> Any:
+def frozen_copy(value: Any) -> Any:
     """Return a value of a table, with `running` copies of the tables in it and copies of its lists."""
     if isinstance(value, dict):
-        return {name: sealed(inner) for name, inner in value.items()}
+        return {name: frozen_copy(inner) for name, inner in value.items()}
     if isinstance(value, list):
-        return python_values(value) if not value or not isinstance(value[0], Model) else [sealed(inner) for inner in value]
+        return python_values(value) if not value or not isinstance(value[0], Model) else [frozen_copy(inner) for inner in value]
     return value.running() if isinstance(value, Model) else value
 
 

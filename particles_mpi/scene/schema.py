@@ -16,7 +16,7 @@ from particles_mpi.scene.calls import faults_in
 from particles_mpi.scene.effect import VelocityFlow
 from particles_mpi.scene.effect_files import plain_options, validated_effects
 from particles_mpi.scene.losses import Losses
-from particles_mpi.scene.model import LARGEST_NUMBER, Flags, Model, NotNegative, faults_of, held, python_values, wrong_length
+from particles_mpi.scene.model import LARGEST_NUMBER, Flags, Model, NotNegative, faults_of, python_values, values_in, wrong_length
 from particles_mpi.scene.population import Population, population_faults
 
 FORMATS: list[Literal["hdf5", "vtk"]] = ["hdf5", "vtk"]
@@ -99,7 +99,7 @@ class Scene(Model):
     particles: list[Population]
     effects: Annotated[dict[str, Any], BeforeValidator(validated_effects)] = Field(default_factory=dict)
     output: Output = Output()
-    _validated: list[Any] = PrivateAttr([])  # what `held` gave at the last validation
+    _validated: list[Any] = PrivateAttr([])  # what `values_in` gave at the last validation
 
     def __init__(self, **tables: Any):
         try:
@@ -140,7 +140,7 @@ class Scene(Model):
 
         A number that was changed within a list is not noticed.
         """
-        now = held(self)
+        now = values_in(self)
         if len(now) == len(self._validated) and all(map(is_, now, self._validated)):
             return self
         output: Any = self.output
@@ -222,7 +222,7 @@ class Scene(Model):
             faults.append("output.orientation: spheres turn only with friction in [effects.collisions] or [effects.walls]")
         if faults:
             raise ValueError("\n".join(faults))
-        self._validated = held(self)
+        self._validated = values_in(self)
         return self
 
     def effect_faults(self) -> list[str]:

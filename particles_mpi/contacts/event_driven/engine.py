@@ -35,7 +35,7 @@ from particles_mpi.contacts.law import Loss
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
-from particles_mpi.kernels.markers import NOBODY, RADIUS
+from particles_mpi.kernels.markers import NO_PARTNER, RADIUS
 from particles_mpi.kernels.memory import aligned, doubled, enlarged
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS
@@ -195,7 +195,7 @@ class Engine:
         (segment, _, state, reals), d = self.rows[:4], len(self.axes)
         reference = self.lists.arrays.reference
         fixed = (reference[:, d + INVERSE_MASS] == 0.0) & (state[:, OWNERSHIP] != NOT_HERE)
-        moved = np.flatnonzero((state[own_rows, LAST_PARTNER] != NOBODY) & ~fixed[own_rows])
+        moved = np.flatnonzero((state[own_rows, LAST_PARTNER] != NO_PARTNER) & ~fixed[own_rows])
         rows = own_rows[moved]
         known = {"id": state[fixed, ID], "place": segment[fixed, :d], "radius": segment[fixed, 2 * d + RADIUS]}
         return LastContacts(moved, state[rows, LAST_PARTNER], reals[rows, LAST_CONTACT] - moment, known)

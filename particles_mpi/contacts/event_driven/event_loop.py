@@ -50,7 +50,7 @@ from particles_mpi.neighbours.verlet_kernels import INVERSE_MASS, SKIN, Lists, c
 from particles_mpi.particles import Array
 
 COLLISIONS, WALL_HITS, TC_ELASTIC, EXPIRIES = range(4)  # what `counts` counts
-ASKED, LOWER, HIGHER = range(3)  # numbers in `stop`
+STOPS, LOWER, HIGHER = range(3)  # numbers in `stop`
 LAST_PROGRESS, EVENTS_SINCE = range(2)  # numbers in `progress`
 INTERRUPTED, STANDSTILL, FULL_BUCKET = -1, -2, -3  # what `run` returns
 EVENTS_A_CALL = 100_000  # about a tenth of a second
@@ -64,7 +64,7 @@ class Work(NamedTuple):
     stale: Array  # (2 n + 2,) int32: rows whose next event is not known; at a standstill, a row and its partner
     counts: Array  # (4,) COLLISIONS, WALL_HITS, those of them that were TC_ELASTIC, and list EXPIRIES of all rows
     tc_elastic: Array  # (m, 3) the first contacts that took no energy: time, id, id or -1 - wall
-    stop: Array  # (3,) int64: is it ASKED to end after the first collision, then its LOWER and HIGHER id
+    stop: Array  # (3,) int64: STOPS: does it end after the first collision, then its LOWER and HIGHER id
     stopped: Array  # (1,) when the drift ends: at that collision, or else at its length
     progress: Array  # (2,) LAST_PROGRESS: when time last passed by more than STANDING of the drift; EVENTS_SINCE that
     any_squeezed: Array  # (1,) bool: is any row squeezed?
@@ -202,7 +202,7 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
     rules: see `Rules`. interval: the `Clock`, the beginning and the end of the interval, and how many skins ahead of a particle
     its new reference position lies. Returns 0, or a reason for which it must be called again: a number of places that the pool of
     the lists lacks (enlarge it first); INTERRUPTED, after so many events that a user may have pressed Ctrl-C; FULL_BUCKET (sort
-    it first). STANDSTILL: events follow one another for ever but time does not pass. With stop[ASKED] the loop ends after the
+    it first). STANDSTILL: events follow one another for ever but time does not pass. With stop[STOPS] the loop ends after the
     first collision.
 
     The functions that it calls are inlined: a call with so many arrays takes as long as the work in it. The bundles come as plain
@@ -260,6 +260,6 @@ def run(axes, rows, lists, queue, rules, interval, work, log, pending):
             pending = 2
             if state[j, ID] < state[i, ID]:
                 i, j = j, i
-            if hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock) and work.stop[ASKED]:
+            if hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock) and work.stop[STOPS]:
                 work.stop[LOWER], work.stop[HIGHER], work.stopped[0] = state[i, ID], state[j, ID], t
                 return 0

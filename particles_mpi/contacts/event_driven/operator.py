@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +41,14 @@ FOLLOWERS, AT_ONE_MOMENT = (3, 4000), (50, 900)  # at least and at most; and tho
 PRESSED_FOLLOWERS, FEW_EFFORT = 8, 1000  # the same under forces: the least, and particles times contacts
 MOST_QUICK = 3000  # quick contacts of a particle in the last attempt: then it has no room
 MOST_RATTLING = 30_000  # the same where nothing but drag, friction or a flow presses spheres together, which keeps no contacts
+
+
+class ElasticContacts(NamedTuple):
+    """Contacts of this rank that took no energy."""
+
+    number: int
+    moment: float  # when the first step with some began
+    first: Array  # (m, 3) those of that step: time, id, id or -1 - wall
 
 
 class EventDriven:
@@ -74,8 +83,7 @@ class EventDriven:
         without_hold = MOST_RATTLING if effects.lossy and effects.on_velocities else NEVER_CROWDED
         most = MOST_QUICK if hold else without_hold
         self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stops, most)
-        # Contacts of this rank that took no energy: how many; of the first step with some its moment, and (time, id, id or wall)
-        self.tc_elastic: tuple[int, float, Array] = 0, np.inf, np.empty((0, 3))
+        self.tc_elastic = ElasticContacts(0, np.inf, np.empty((0, 3)))
         self.crowded_steps = 0
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay
         self.stop, self.stopped = np.array([0, -1, -1]), np.zeros(1)
@@ -173,25 +181,24 @@ class EventDriven:
 
     def count_tc_elastic(self, moment: float, engine: Engine) -> None:
         """Count the contacts that took no energy, and keep the first ones."""
-        count = int(engine.work.counts[TC_ELASTIC])
-        before, begin, rows = self.tc_elastic
-        if count and not before:
-            begin, rows = moment, engine.work.tc_elastic[:count].copy()
-        self.tc_elastic = before + count, begin, rows
+        count, before = int(engine.work.counts[TC_ELASTIC]), self.tc_elastic
+        if count:
+            kept = before if before.number else ElasticContacts(0, moment, engine.work.tc_elastic[:count].copy())
+            self.tc_elastic = kept._replace(number=before.number + count)
 
     def pass_by(self, h: float, drifts: int) -> None:
         """Do nothing about drifts that were done elsewhere: the next drift notices by itself that rows have moved."""
 
     def remarks(self) -> list[str]:
         """Return the remarks for the end of the run, one line each. Collective."""
-        found = self.ranks.allgather(self.tc_elastic)
-        count = sum(number for number, _, _ in found)
+        found = [ElasticContacts(*of_rank) for of_rank in self.ranks.allgather(tuple(self.tc_elastic))]
+        count = sum(of_rank.number for of_rank in found)
         said = f"collapsing crowds: in {self.crowded_steps} steps some contacts stopped the approach entirely, as if e = 0"
         crowds = [said] if self.crowded_steps else []
         if not count:
             return crowds
-        moment = min(moment for _, moment, _ in found)
-        first = sorted(tuple(row) for _, begin, rows in found if begin == moment for row in rows)
+        moment = min(of_rank.moment for of_rank in found)
+        first = sorted(tuple(row) for of_rank in found if of_rank.moment == moment for row in of_rank.first)
         pairs = [(int(a), int(b)) for _, a, b in first[:NAMED]]
         cluster = set(pairs[0])
         for pair in pairs:  # in order of time: a cluster grows from its first pair

@@ -22,7 +22,7 @@ from particles_mpi.contacts.event_driven.rows import (
     TRAJECTORY_HASH,
 )
 from particles_mpi.kernels.geometry import Box, wrap
-from particles_mpi.kernels.markers import NOBODY, START
+from particles_mpi.kernels.markers import NO_PARTNER, START
 from particles_mpi.kernels.memory import doubled, enlarged
 from particles_mpi.neighbours.cells import bounds, order_in_space
 from particles_mpi.neighbours.verlet_cells import MARGIN
@@ -137,7 +137,7 @@ class Partition:
         arrived = sendrecv(self.ranks, self.neighbours, outgoing).reshape(-1, table.shape[1])
         ghosts = rows_of_ids(self.directory.table, arrived[:, 0].copy().view(np.int64))
         rows.segment[ghosts, : 2 * d], rows.segment[ghosts, 2 * d + START] = arrived[:, 1 : 2 * d + 1], 0.0
-        rows.state[ghosts, LAST_PARTNER] = NOBODY
+        rows.state[ghosts, LAST_PARTNER] = NO_PARTNER
         rows.state[ghosts, RAPID_EVENTS] = rows.state[ghosts, TRAJECTORY_HASH] = 0
         at = 2 * d + 1
         for column in (rows.acceleration, rows.spin):
@@ -179,9 +179,9 @@ class Partition:
         p, ranks, fields_at = self.particles, self.ranks, self.directory.fields_at
         came = np.flatnonzero((self.engine.rows.state[:, OWNERSHIP] >= OWN) & (fields_at[:, HOLDER] != ranks.rank))
         order, counts = by_destination(fields_at[came, HOLDER], ranks.size)
-        asked, of = send_rows(ranks, {"row": fields_at[:, PLACE]}, came[order], counts)
+        requested, of = send_rows(ranks, {"row": fields_at[:, PLACE]}, came[order], counts)
         owner = np.full(len(p), ranks.rank)
-        owner[asked["row"]] = np.repeat(np.arange(ranks.size), of)
+        owner[requested["row"]] = np.repeat(np.arange(ranks.size), of)
         self.row_buffers.adopt()
         self.migrated += self.row_buffers.migrate(ranks, owner)
         self.own_rows = rows_of_ids(self.directory.table, p.id).astype(np.int32)

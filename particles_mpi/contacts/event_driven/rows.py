@@ -13,7 +13,7 @@ import numpy as np
 from particles_mpi.kernels.fingerprint import GOLDEN
 from particles_mpi.kernels.geometry import into_box
 from particles_mpi.kernels.jit import in_place, inner, lean
-from particles_mpi.kernels.markers import CROWD, NOBODY, RADIUS, START
+from particles_mpi.kernels.markers import CROWD, NO_PARTNER, RADIUS, START
 from particles_mpi.particles import Array
 
 LAST_PARTNER, RAPID_EVENTS, TRAJECTORY_HASH, LAST_CONTACT, VIRIAL, ID, EVENT_COUNT, OWNERSHIP = range(8)  # columns of `state`
@@ -32,7 +32,7 @@ class Rows(NamedTuple):
 
     A particle's path in a drift is made of straight segments: x + v (t - START) from its last contact on. Its position is not
     computed for other times before the next contact, so that reading it leaves no trace in the bits. Of each row, in `state`:
-    LAST_PARTNER in this drift is an id, -1 - wall, or NOBODY; TRAJECTORY_HASH, a hash of all its segments in this drift;
+    LAST_PARTNER in this drift is an id, -1 - wall, or NO_PARTNER; TRAJECTORY_HASH, a hash of all its segments in this drift;
     EVENT_COUNT, how often its path was changed: an event that was predicted with another count is void. In `reals`: the time of
     its LAST_CONTACT, and VIRIAL, the sum of r.J over its collisions (`law.collide_pair`).
     """
@@ -76,7 +76,7 @@ def start_drift(axes, rows, x, v, radius, last_contact, virial, acceleration, sp
         moved |= segment[i, 2 * d + RADIUS] != radius[p]
         fastest = max(fastest, speed) if speed < np.inf else np.inf
         segment[i, 2 * d + START] = 0.0
-        state[i, LAST_PARTNER], state[i, RAPID_EVENTS], state[i, TRAJECTORY_HASH] = NOBODY, 0, 0
+        state[i, LAST_PARTNER], state[i, RAPID_EVENTS], state[i, TRAJECTORY_HASH] = NO_PARTNER, 0, 0
         reals[i, LAST_CONTACT] = last_contact[p]
         reals[i, VIRIAL] = virial[p] if len(virial) else 0.0
         if len(acceleration) > 0:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from particles_mpi.contacts.law import apply_impulse, may_come_near
+from particles_mpi.contacts.law import TOGETHER2, apply_impulse, may_come_near
 from particles_mpi.contacts.rough import FRICTION, PAIRS, strike_pair
 from particles_mpi.kernels.geometry import image_shift, some_nearest
 from particles_mpi.kernels.jit import in_place, inner, lean_inner, screening
@@ -75,7 +75,7 @@ def touch_time(axes, segment, i, j, now, latest, h, length, r, u):
         b += r[k] * u[k]
         r2 += r[k] * r[k]
         own += segment[i, d + k] * segment[i, d + k] + segment[j, d + k] * segment[j, d + k]
-    if not b < 0.0 or b * b <= 1e-28 * r2 * own:  # together but for round-off is no approach
+    if not b < 0.0 or b * b <= TOGETHER2 * r2 * own:  # together but for round-off is no approach
         return NEVER
     diameter = segment[i, 2 * d + RADIUS] + segment[j, 2 * d + RADIUS]
     if diameter == 0.0 and d > 1:  # points meet on a line only

@@ -30,6 +30,7 @@ DEEPER, MOST_REDONE = 0.2, 0.02  # added if more than this part of the windows w
 SHALLOWER, ENOUGH = 0.1, 100  # taken off after so many windows of which none was
 FASTER, SLOWER = 1.015, 0.6  # what success and failure do to the length of a window: in balance about 3 % fail
 FIRST_WINDOW, GROWING = 0.25, 1.2  # of the longest window: the first one; and how it grows until one fails
+LONGEST_WINDOW = 0.9  # of the time in which the fastest particle gets as far as the regions allow
 LEAST_WINDOW = 1e-3  # of the longest window: with shorter ones it is no use
 MOST_HALVINGS = 8  # of a window, each of half the length; then contacts follow one another in no time (touching spheres)
 WORTH = 10  # contacts a window and rank, or windows are not worth their messages
@@ -65,7 +66,7 @@ class Windows:
             speed = self.prepare(moment)
         if self.partition.one_holds_most and not self.always:
             return None
-        self.longest = 0.9 * self.partition.regions.bound / speed if speed > 0.0 else np.inf
+        self.longest = LONGEST_WINDOW * self.partition.regions.bound / speed if speed > 0.0 else np.inf
         if h / self.longest > (max(self.events / WORTH, CHEAP) if self.events else UNTRIED) and not self.always:
             return None
         self.length = min(self.length or FIRST_WINDOW * self.longest, self.longest)
@@ -157,7 +158,7 @@ class Windows:
                 return False
             self.transferred = int(transferred)
             if fastest2 > 0.0:
-                self.longest = min(self.longest, 0.9 * part.regions.bound / np.sqrt(fastest2))
+                self.longest = min(self.longest, LONGEST_WINDOW * part.regions.bound / np.sqrt(fastest2))
             self.accept(message, differing, moves)
         return True
 

@@ -51,7 +51,7 @@ LITTLE_CHANGE = 0.2  # `balance` before the iterations is done only if its facto
 EXACT, ROUGH_EXACT = 100, 400
 # Iterations, after which contacts need no longer go back to the gap that they keep: it seems that there is no room, as
 # in a box that is full from side to side; and those that are done then, for contacts without a gap.
-ASKED, WITHOUT_GAP = 500, 1500
+CLOSING, WITHOUT_GAP = 500, 1500
 
 
 class Seen(NamedTuple):
@@ -179,7 +179,7 @@ class Iteration:
         changed. Returns whether errors are allowed, and the iterations done, 0 for a pile that is asleep.
         """
         exact, near_one = least >= exact_from(self.rough), (1.0 - LITTLE_CHANGE, 1.0 + LITTLE_CHANGE)
-        rules = Rules(count, least, limit if exact else min(limit, ASKED), limit, self.rough)
+        rules = Rules(count, least, limit if exact else min(limit, CLOSING), limit, self.rough)
         if not exact and not self.rough:
             self.balance(*near_one)
         seen, done = self.seen(self.advance(1, looks=True)), 1

@@ -16,6 +16,7 @@ from particles_mpi.kernels.jit import in_place, kernel, lean_inner
 from particles_mpi.particles import Array
 
 SLOW_PUSH = 2.0  # times what forces do in a step: a ball that leaves a floor at e times that is back after 4 e steps
+ROUND_UP = 1.000001  # times a distance within which rows or contacts are looked for: so none is lost, whatever is rounded
 PRECISE = 1e-12  # of the slow speed: approach that does not matter
 HELD = 5.0  # times the slow speed, where a partner is held already: else piles would rattle
 REACH, REACH_IN_CROWDS = 1.0, 3.0  # radii that a sphere reaches at most, and in a crowd, however far it moves in a step
@@ -74,7 +75,7 @@ def contacts_with_walls(axes, row, body, reach, walls, made, contacts):
     partner, slot, normals, gaps, larger_push, any_speed = contacts
     i, near_face = np.uint64(row), bool(oblique)
     for k in range(len(axes)):  # most rows are near no face
-        room = 1.000001 * (radius + reach)
+        room = ROUND_UP * (radius + reach)
         near_face |= x[i, np.uint64(k)] - lower[k] < room or upper[k] - x[i, np.uint64(k)] < room
     for wall in range(len(point) if near_face else 0):
         distance = 0.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from particles_mpi.contacts.persistent.detection import ROUND_UP
 from particles_mpi.contacts.persistent.graph import ContactGraph
 from particles_mpi.contacts.persistent.memory import carry_over, recall, remember, send_home
 from particles_mpi.contacts.persistent.zone import inside_zone
@@ -11,7 +12,6 @@ from particles_mpi.particles import Array, Particles
 
 GRAPH_SKIN = 0.3  # of the smallest radius: so far two rows together may move before the graph is built again
 DILUTE = 1.0  # the same, in a gas: few pairs come near, but rows move far
-ROUND_UP = 1.000001  # times a width: so the graph has all that `inside_zone` finds, whatever is rounded
 
 
 class ContactHistory:

@@ -105,9 +105,9 @@ def send_home(ranks: Communicator, memory: Memory, p: Particles) -> Memory:
     strays = {name: column[~here] for name, column in memory._asdict().items()}
     strays, _ = send(strays, middle(strays["id"]))
     without = p.id[~np.isin(p.id, memory.id)]
-    asked, counts = send({"id": without}, middle(without))
-    order = np.argsort(asked["id"])
-    ids, owner = asked["id"][order], np.repeat(np.arange(ranks.size), counts)[order]
+    requested, counts = send({"id": without}, middle(without))
+    order = np.argsort(requested["id"])
+    ids, owner = requested["id"][order], np.repeat(np.arange(ranks.size), counts)[order]
     place = np.minimum(np.searchsorted(ids, strays["id"]), max(len(ids) - 1, 0))
     found = np.flatnonzero(ids[place] == strays["id"]) if len(ids) else np.empty(0, np.int64)
     ours, _ = send(rows_of(strays, found), owner[place[found]])

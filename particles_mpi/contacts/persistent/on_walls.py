@@ -30,9 +30,9 @@ def settle_on_walls(axes, rows, fields, a, h, length, faces, planes):
         if fixed[i] == 0:  # whatever the mass is: walls take what comes
             w[r] = 1.0 / mass[i] if mass[i] > 0.0 else 1.0
         held[r] = was[r] != 0.0 and w[r] > 0.0
-    nobody, all_rows = (np.zeros(n + 1, np.int64), np.empty(0, np.int32)), np.ones(n + 1, np.bool_)
+    no_neighbours, all_rows = (np.zeros(n + 1, np.int64), np.empty(0, np.int32)), np.ones(n + 1, np.bool_)
     state = x, v, push, radius, w, np.zeros(n + 1, np.bool_)
-    contacts = find_half_edges(axes, state, nobody, all_rows, h, length, faces, planes, np.ones(len(planes[0]), np.bool_))
+    contacts = find_half_edges(axes, state, no_neighbours, all_rows, h, length, faces, planes, np.ones(len(planes[0]), np.bool_))
     start, partner, _, normal, gap, larger_push, _ = contacts
     nothing, bound = np.zeros(len(gap)), np.zeros(n + 1)
     touch = gap <= larger_push * h

@@ -4,10 +4,12 @@ from math import inf, sqrt
 
 import numpy as np
 
-from particles_mpi.contacts.persistent.detection import SLOW_PUSH
+from particles_mpi.contacts.persistent.detection import ROUND_UP, SLOW_PUSH
 from particles_mpi.kernels.jit import in_place, kernel
 from particles_mpi.kernels.planes import Planes
 from particles_mpi.particles import Array, Particles
+
+ROUND_OFF = 1e-12  # of a coordinate, at most
 
 
 class Walls:
@@ -21,7 +23,7 @@ class Walls:
         self.planes, self.taking = (planes.point[keeping], planes.normal[keeping]), taking[keeping]
         self.faces = planes.lower, planes.upper, planes.oblique
         self.straight = not planes.oblique
-        self.round_off = 1e-12 * np.abs(self.planes[0]).max(initial=0.0)
+        self.round_off = ROUND_OFF * np.abs(self.planes[0]).max(initial=0.0)
 
     def __len__(self) -> int:
         return len(self.planes[0])
@@ -34,7 +36,7 @@ class Walls:
     def reach(self, fixed: Array, a: Array, h: float) -> float:
         """How far from walls slow contacts may be, of rows (at least one) with accelerations a (n, d), the same if not fixed."""
         push = float(np.sqrt((a[np.argmin(fixed)] ** 2).sum()))
-        return 1.000001 * SLOW_PUSH * h * h * push + self.round_off
+        return ROUND_UP * SLOW_PUSH * h * h * push + self.round_off
 
 
 @in_place
@@ -68,9 +70,9 @@ def near_walls(axes, x, v, a, radius, fixed, supported, h, faces, planes):
             a2 += a[i, k] * a[i, k]
         most = max(most, a2)
     for k in range(len(axes)):  # within these no sphere is near a face, whatever its push: most rows need no closer look
-        far = 1.000001 * SLOW_PUSH * h * h * sqrt(most)
-        low[k] = lower[k] + far + 1e-12 * max(lower[k], -lower[k]) if lower[k] > -inf else -inf
-        high[k] = upper[k] - far - 1e-12 * max(upper[k], -upper[k]) if upper[k] < inf else inf
+        far = ROUND_UP * SLOW_PUSH * h * h * sqrt(most)
+        low[k] = lower[k] + far + ROUND_OFF * max(lower[k], -lower[k]) if lower[k] > -inf else -inf
+        high[k] = upper[k] - far - ROUND_OFF * max(upper[k], -upper[k]) if upper[k] < inf else inf
     for i in range(len(x)):
         here = (supported[i] != 0) | (fixed[i] != 0)
         inside = not oblique

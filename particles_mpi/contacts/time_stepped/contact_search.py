@@ -9,7 +9,7 @@ from particles_mpi.contacts.law import contact_time, may_come_near, overlap, sep
 from particles_mpi.contacts.walls import may_hit, wall_contact
 from particles_mpi.kernels.geometry import nearest
 from particles_mpi.kernels.jit import in_place, lean, lean_inner
-from particles_mpi.kernels.markers import NEVER, NOBODY
+from particles_mpi.kernels.markers import NEVER, NO_PARTNER
 
 NOTICEABLE = 1e-6  # of a radius: an overlap that is no round-off
 
@@ -145,7 +145,7 @@ def brushed_pairs(segments, spheres, first, second, h, length):
     brushed = 0
     for p in range(len(first)):
         i, j = np.int64(first[p]), np.int64(second[p])
-        if i < owned and last_partner[i] != NOBODY and last_partner[j] != NOBODY:
+        if i < owned and last_partner[i] != NO_PARTNER and last_partner[j] != NO_PARTNER:
             brushed += overlap_at(segments, radius, i, j, h, length) > NOTICEABLE
     return brushed
 

@@ -30,7 +30,7 @@ from particles_mpi.contacts.time_stepped.passes import (
 )
 from particles_mpi.contacts.time_stepped.signs import Signs
 from particles_mpi.contacts.velocity_flow import Rates
-from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.kernels.markers import NO_PARTNER
 from particles_mpi.neighbours.candidates import Hits
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
 from particles_mpi.neighbours.pass_messages import ACROSS, OWN_ONLY, exchange_segments, exchange_selections
@@ -115,7 +115,7 @@ class Rewind:
         n, d, owned = len(near.x), len(near.axes), near.spheres.owned
         if self.searches != near.searches:
             self.searches = near.searches
-            self.selection = Selection(np.full(n, NOBODY), np.empty((owned, 3)))
+            self.selection = Selection(np.full(n, NO_PARTNER), np.empty((owned, 3)))
             spin = np.empty((owned * (len(near.spin) > 0), near.spin.shape[1]))
             vectors = np.empty((owned, d)), np.empty((owned, d)), spin
             self.log = UndoLog(np.empty(owned, np.int32), *vectors, np.zeros(1, np.int64))
@@ -174,7 +174,7 @@ class Rewind:
     def one_pass(self, hits: Hits, h: float, counts: Array, concerned: int) -> float:
         """Select contacts by the total order, tell other ranks, apply the selected ones, and find new candidates.
 
-        `concerned`: which rows the hits of any rank are about (`who_is_concerned`), and so what ranks must exchange. Returns 0,
+        `concerned`: which rows the hits of any rank are about (`rows_concerned`), and so what ranks must exchange. Returns 0,
         or how far a row needs candidates to reach.
         """
         near, selected = self.near, self.selection.partner
@@ -190,7 +190,7 @@ class Rewind:
             )  # fmt: skip
         if concerned != OWN_ONLY:
             with self.timers("ghosts"):
-                selected[near.spheres.owned :] = NOBODY
+                selected[near.spheres.owned :] = NO_PARTNER
                 exchange_segments(near.halo, near.active, near.segments, near.spin)
         with self.timers("pairs"):
             return near.follow(h)

@@ -9,7 +9,7 @@ from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.time_stepped.contact_search import NOTICEABLE
 from particles_mpi.contacts.walls import bounce_until, meet_wall
 from particles_mpi.kernels.jit import in_place, kernel, lean
-from particles_mpi.kernels.markers import NOBODY
+from particles_mpi.kernels.markers import NO_PARTNER
 from particles_mpi.kernels.motion import move_to
 from particles_mpi.particles import Array
 
@@ -20,7 +20,7 @@ TIME, LOW, HIGH = 0, 1, 2  # columns of `Selection.order`
 class Selection(NamedTuple):
     """The earliest contact of each row in this pass."""
 
-    partner: Array  # (n,) int64: the id of its partner, a wall as -1 - wall, or NOBODY
+    partner: Array  # (n,) int64: the id of its partner, a wall as -1 - wall, or NO_PARTNER
     order: Array  # (owned, 3), of rows with a partner: TIME of the contact, LOW id, HIGH id or wall
 
 
@@ -39,7 +39,7 @@ def comes_first(row, t, wall, low, high, selection):
     """Note the contact (t, wall or pair, low, high) for `row` if it comes before the one selected for it; returns whether."""
     partner, order = selection
     before = order[row, TIME], partner[row] < 0, order[row, LOW], order[row, HIGH]
-    if partner[row] != NOBODY and before < (t, wall, low, high):
+    if partner[row] != NO_PARTNER and before < (t, wall, low, high):
         return False
     order[row, TIME], order[row, LOW], order[row, HIGH] = t, low, high
     return True
@@ -122,11 +122,11 @@ def apply_contacts(axes, segments, spheres, hits, selected_partner, rules, activ
         if i < owned:
             counts[COLLISIONS] += 1
             counts[LATE] += is_late(time[p], r, radius[i], radius[j])
-        told = i if w[i] > 0.0 else j  # of a pass, it has one contact only: no order changes a bit
-        if told < owned and len(virial):
-            virial[told] += given
+        credited = i if w[i] > 0.0 else j  # of a pass, it has one contact only: no order changes a bit
+        if credited < owned and len(virial):
+            virial[credited] += given
     for p in range(found):
-        selected_partner[active_rows[p]] = NOBODY
+        selected_partner[active_rows[p]] = NO_PARTNER
     active_number[0] = found
 
 
@@ -165,7 +165,7 @@ def note_start(segments, spin, i, owned, log):
     """Before the first contact of an owned row in this drift: log where it started."""
     x, v, _, last_partner = segments
     rows, log_x, log_v, log_spin, number = log
-    if i >= owned or last_partner[i] != NOBODY:
+    if i >= owned or last_partner[i] != NO_PARTNER:
         return
     p = number[0]
     rows[p] = i

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from particles_mpi.neighbours.pass_messages import ACROSS, OWN_ONLY, SHARED_ROWS, who_is_concerned
+from particles_mpi.neighbours.pass_messages import ACROSS, OWN_ONLY, SHARED_ROWS, rows_concerned
 
 SHARED = np.array([False, False, True, False, True, True])  # rows 0 to 3 are own ones, 4 and 5 ghosts
 WALL = -1
@@ -21,6 +21,6 @@ WALL = -1
         ([(5, 2), (2, WALL)], ACROSS),
     ],
 )
-def test_who_is_concerned(hits, concerned):
+def test_rows_concerned(hits, concerned):
     first, second = np.array(hits, np.int32).reshape(-1, 2).T.copy()
-    assert who_is_concerned(SHARED, 4, first, second) == concerned
+    assert rows_concerned(SHARED, 4, first, second) == concerned

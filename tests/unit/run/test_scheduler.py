@@ -102,7 +102,7 @@ def test_after_a_signal_a_step_may_take_twice_as_long_as_the_one_before(monkeypa
         for seconds in (100.0, before):  # the first one compiles
             with request:
                 clock[0] += seconds
-        request.ask()
+        request.note_signal()
         clock[0] += 1000.0  # while a frame is written
         with request:
             clock[0] += 0.999 * most
