@@ -38,7 +38,7 @@ def choose(method: str, angle: float, accuracy: float, dimension: int, total: in
         why = "no more work than a tree" if dimension in TREES else f"there is no tree in dimension {dimension}"
         return Choice(None, direct, f"auto: direct sum, {why}")
     words = (
-        f"tree, opening angle {angle:.2g} for a median error of ~{accuracy:.1g}; direct sum: {direct / tree:.2g} times the work"
+        f"tree, opening angle {angle:.2g} for a median error of {accuracy:.1g}; direct sum: {direct / tree:.2g} times the work"
     )
     return Choice(angle, tree, f"auto: {words}")
 

@@ -162,8 +162,11 @@ def differences(tables, before, changes, after, divided=False):
         sim.h = sim.h  # a change too: what contacts carried is forgotten, which a fresh start does not know
     divide(sim, divided)
     twin = sim.copy()
+    state = snapshot.gather_all(sim.ranks, sim.particles)
     fresh = Simulation(sim.scene, start=snapshot.gather_all(sim.ranks, sim.particles))
     fresh.time, fresh.h = sim.time, sim.h
+    if "contacted" in state.arrays:  # times of the same clock; to set that has moved them
+        fresh.particles.contacted[:] = state["contacted"][np.searchsorted(state["id"], fresh.particles.id)]
     for _ in range(after):
         for one in (sim, twin, fresh):
             one.step()
