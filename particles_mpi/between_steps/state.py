@@ -204,7 +204,7 @@ class State:
 
     @property
     def time(self) -> float:
-        """The time of the state. Setting it changes nothing but the clock; all ranks must set the same value."""
+        """The time of the state. Setting it moves the clock, and with it the times of last contacts; the same on all ranks."""
         since, steps = self.clock_start
         return since + (self.steps_done - steps) * self._h
 
@@ -215,8 +215,10 @@ class State:
             raise ValueError(f"time: {value!r} is not a finite number")
         for since in self.output_record.observed.values():
             since[0] += value - self.time
-        if "contacted" in self.rows.arrays:  # times of the last contacts
-            self.rows["contacted"] += value - self.time
+        if "contacted" in self.rows.arrays:  # times of the last contacts, by the same clock
+            self.take_changes()
+            self.rows.change({"contacted": self.rows["contacted"] + (value - self.time)})
+            self.particles.show()
         self.clock_start = float(value), self.steps_done
         self.forget_contacts()
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from particles_mpi.contacts.law import TOGETHER2
 from particles_mpi.contacts.rough import FRICTION, strike_wall
 from particles_mpi.contacts.velocity_flow import change_of, row_of
 from particles_mpi.kernels.jit import lean, lean_inner
@@ -56,7 +57,7 @@ def wall_contact(axes, x, v, column, start, i, radius, last_partner, h, planes):
         v2 = 0.0
         for k in range(len(axes)):
             v2 += v[i, column + k] * v[i, column + k]
-        if speed * speed <= 1e-28 * v2:  # along the wall but for round-off, as after e = 0
+        if speed * speed <= TOGETHER2 * v2:  # along the wall but for round-off, as after e = 0
             continue
         distance = 0.0
         for k in range(len(axes)):

@@ -19,7 +19,7 @@ class Options(Losses, EffectOptions):
 
     `contact_duration` t_c, in mode `event`: a contact within t_c of the last one of either partner takes no energy (TC model). By
     default t_c is a ten-thousandth of a step, and a contact then takes no energy only if its particle has had many that followed
-    one another within t_c, or at one moment: 8 under forces, more if particles are few or no force acts (`contacts/README.md`).
+    one another within t_c, or at one moment: 8 under forces, more if particles are few (`contacts/README.md`).
     `contact_tolerance`: where forces keep spheres in contact, the part of a radius by which contacts may close in a step, as root
     mean square.
     """

@@ -10,7 +10,7 @@ from particles_mpi.scene.model import NotNegative
 
 
 class Options(EffectOptions):
-    """`rate`: k (1/time) where a population gives no `drag`. A new rate between two steps replaces the old one."""
+    """`rate`: k (1/time) where a population gives no `drag`. A new rate between two steps is for all that had the old one."""
 
     rate: NotNegative = 0.0
 

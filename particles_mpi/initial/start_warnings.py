@@ -9,6 +9,7 @@ from particles_mpi.parallel.decomposition import bisect, to_owners
 from particles_mpi.particles import Array, Particles
 from particles_mpi.scene.schema import Scene
 
+POINT = 1e-13  # of a coordinate: a radius that is nothing but its round-off
 IDLE = {  # by effect: the field by which it acts on a particle, and what is said where it is 0 for all
     "drag": ("drag", "slows no particle: it has no rate, and no particle has a drag of its own"),
     "user_acceleration": ("acceleration", "moves no particle: none has an acceleration"),
@@ -75,10 +76,12 @@ def points_that_stick(scene: Scene, particles: Particles, ranks: Communicator) -
     pairs = scene.active.get("collisions")
     if scene.dimension > 1 or pairs is None or pairs.mode != "event" or pairs.restitution in (None, 1.0):
         return []
-    points, total = ranks.total(np.count_nonzero(particles.radius == 0.0), len(particles))
+    small = particles.radius <= POINT * np.abs(particles.position[:, 0])
+    points, total = ranks.total(np.count_nonzero(small), len(particles))
     if points < 2 or total < 3:
         return []
-    return ["effects.collisions: points that stick together on a line let a third one pass: give them a radius, however small"]
+    advice = "give them a radius above the round-off of their places"
+    return [f"effects.collisions: points that stick together on a line let a third one pass: {advice}"]
 
 
 def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[str]:

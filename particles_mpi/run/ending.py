@@ -33,6 +33,7 @@ elif (PROJECT / "run.sh").is_file():
 else:
     PROGRAM = "particles-mpi"
 NOTICEABLE = 0.01  # change of the energy, where there should be none, over the largest kinetic energy, that is printed
+ROUND_OFF = 1e-9  # of the total energy, and more: what is at rest has no other kinetic energy
 ADAPTIVE = ', or time.integrator = "adaptive"'
 LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
@@ -60,7 +61,8 @@ class Energies:
         """
         change = self.last - self.first
         takes, largest = not effects.conserves_energy, max(self.kinetic, self.highest - self.lowest)
-        if not effects.gives_no_energy or not (change if takes else abs(change)) > NOTICEABLE * largest:
+        least = max(NOTICEABLE * largest, ROUND_OFF * max(abs(self.first), abs(self.last)))
+        if not effects.gives_no_energy or not (change if takes else abs(change)) > least:
             return []
         better = "" if effects.integrator == "adaptive" or effects.pairs or effects.walls or takes else ADAPTIVE
         why = "no effect adds any" if takes else "no effect adds or takes any"

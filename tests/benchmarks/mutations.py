@@ -373,7 +373,7 @@ MUTATIONS = (
     Mutation(
         "spheres without room that friction presses together meet without end",
         "contacts/event_driven/operator.py",
-        "MOST_RATTLING if effects.lossy and effects.on_velocities else NEVER_CROWDED",
+        "MOST_RATTLING if effects.lossy and (forces or effects.on_velocities) else NEVER_CROWDED",
         "NEVER_CROWDED",
         ("tests/hard_cases/test_jammed.py", "-k", "friction_presses"),
     ),

@@ -55,6 +55,19 @@ def test_elastic_spheres_without_room_stay_where_they_are(d, n, friction):
         assert now == pytest.approx(energy, rel=1e-10)
 
 
+def test_a_full_box_whose_contacts_are_not_kept_ends_its_step():
+    """With `taylor`, which keeps none: one step took more than a minute."""
+    places = [[R + 2.0 * R * k for k in cell] for cell in itertools.product(range(3), repeat=2)]
+    discs = {"position": places, "radius": R, "mass": {"min": 0.1, "max": 5.0}, "velocity": [-0.143, -0.58]}
+    discs["acceleration"] = [[float(k), float(-k)] for k in range(9)]
+    box = {"lower": [0.0, 0.0], "upper": [6.0 * R, 6.0 * R], "periodic": True}
+    effects = {"user_acceleration": {}, "collisions": {"mode": "event", "restitution": 0.3}}
+    time = {"step": 0.003, "steps": 2, "integrator": "taylor"}
+    sim = Simulation(Scene(dimension=2, seed=995, box=box, time=time, particles=[discs], effects=effects))
+    sim.steps(2)
+    assert sim.totals["collisions"] <= 2 * 15_000 * 9 and sim.totals["missed"] > 0
+
+
 @pytest.mark.parametrize(("mode", "friction"), [("event", 0.0), ("rewind", 0.1)])
 @pytest.mark.parametrize("n", [3, 6])
 def test_what_friction_presses_together_without_room_ends_its_step(n, mode, friction):

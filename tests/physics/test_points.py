@@ -107,6 +107,39 @@ def test_points_that_meet_at_the_end_of_a_step_stay_in_their_order(radius):
         assert np.abs(ends[0] - ends[1]).max() < 1e-9, f"start {number}"
 
 
+def test_points_that_meet_at_the_end_of_a_step_across_a_border_bounce_once():
+    """In a periodic box: as in one step of the same length."""
+    for number in (10, 40, 48, 74, 135):
+        random = np.random.default_rng(number)
+        count = 2 + number % 4
+        x, v = np.sort(random.uniform(0.0, 1.0, count)), random.standard_normal(count)
+        nearing = v - np.roll(v, -1)
+        gaps = np.append(np.diff(x), 1.0 + x[0] - x[-1])
+        step = (gaps[nearing > 0.0] / nearing[nearing > 0.0]).min() / (1 + number % 5)
+        points = {"position": x[:, None].tolist(), "velocity": v[:, None].tolist()}
+        box = {"lower": [0.0], "upper": [1.0], "periodic": True}
+        ends = []
+        for steps in (40, 1):
+            time = {"step": 40 * step / steps, "steps": steps}
+            scene = Scene(dimension=1, box=box, time=time, effects={"collisions": {"mode": "event"}}, particles=[points])
+            sim = Simulation(scene)
+            sim.steps(steps)
+            ends.append(sim.particles.position[np.argsort(sim.particles.id), 0])
+        apart = ends[0] - ends[1]
+        assert np.abs(apart - np.rint(apart)).max() < 1e-9, f"start {number}"
+
+
+def test_a_fixed_point_stays_where_it_is():
+    points = {"position": [[0.123], [0.711], [0.345678]], "velocity": [[-0.7], [0.9], [0.0]], "fixed": [False, False, True]}
+    box = {"lower": [0.0], "upper": [1.0]}
+    effects = {"collisions": {"mode": "event"}, "walls": {}}
+    sim = Simulation(Scene(dimension=1, box=box, time={"step": 0.37, "steps": 300}, effects=effects, particles=[points]))
+    for _ in range(300):
+        sim.step()
+        assert sim.particles.position[sim.particles.id == 2, 0] == 0.345678
+    assert sim.totals["collisions"] > 100
+
+
 @pytest.mark.parametrize("restitution", [0.0, 0.3, 1.0, *with_all(0.99)])
 @pytest.mark.parametrize("attract", [True, False])
 def test_points_on_a_line_go_on_the_same_from_any_step(attract, restitution):

@@ -97,26 +97,27 @@ def test_a_setting_whose_steps_drag_cannot_be_seen_in_is_not_recommended(rate, t
     }
     (told,) = predict(Simulation(Scene.from_dict(tables)), Benchmark()).errors
     left_out = np.linalg.norm(v - g / rate) / np.linalg.norm(g * end)  # over the way of the fall, which is twice its size or so
-    assert left_out < float(told.split("places ")[1].split()[0]) < 4.0 * left_out and "drag stops particles" in told
+    assert left_out < float(told.split("positions wrong by ")[1].split()[0]) < 4.0 * left_out and "drag stops particles" in told
     sim = recommended(tables, 1e-4, tmp_path)
     if sim:
         exact = g / rate * end + (v - g / rate) * -np.expm1(-rate * end) / rate
         assert np.linalg.norm(sim.particles.position[0] - exact) <= 1e-4 * np.linalg.norm(exact)
 
 
-@pytest.mark.parametrize("place", [0.777, 0.5131, 0.9, 0.333])
-def test_two_steps_that_agree_by_chance_are_no_reference(place, tmp_path):
-    """A particle is slowed in the step in which it passes a gate: of h, h/2 and h/4 the first two may be late by the same."""
+def test_steps_that_agree_by_chance_are_no_reference(tmp_path):
+    """A particle is slowed in the step in which it passes a gate: of h, h/2, h/4 and h/8 all may be late by the same."""
     (tmp_path / "gate.py").write_text((ROOT / "tests/parallel/outside/gate.py").read_text())
-    tables = {
-        "dimension": 2,
-        "time": {"step": 0.01, "end": 2.0},
-        "particles": [{"position": [[0.0, 0.0]], "velocity": [1.0, 0.3]}],
-        "effects": {"gate": {"file": "gate.py", "place": place}},
-    }
-    sim = recommended(tables, 1e-4, tmp_path)
-    if sim:
-        assert abs(sim.particles.position[0, 0] - (place + 0.5 * (2.0 - place))) <= 2e-4
+    errors = []
+    for place in (0.777, 0.333, 0.509, 0.5081):
+        tables = {
+            "dimension": 2,
+            "time": {"step": 0.01, "end": 2.0},
+            "particles": [{"position": [[0.0, 0.0]], "velocity": [1.0, 0.3]}],
+            "effects": {"gate": {"file": "gate.py", "place": place}},
+        }
+        if sim := recommended(tables, 2e-3, tmp_path, 60.0):
+            errors.append(abs(sim.particles.position[0, 0] - (place + 0.5 * (2.0 - place))))
+    assert errors and max(errors) <= 2e-3
 
 
 def test_no_error_of_a_recommended_setting_is_above_the_tolerance(tmp_path):

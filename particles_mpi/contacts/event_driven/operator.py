@@ -40,7 +40,7 @@ FOLLOWING_EFFORT = 10_000  # particles times contacts that have to follow one an
 FOLLOWERS, AT_ONE_MOMENT = (3, 4000), (50, 900)  # at least and at most; and those at one moment
 PRESSED_FOLLOWERS, FEW_EFFORT = 8, 1000  # the same under forces: the least, and particles times contacts
 MOST_QUICK = 3000  # quick contacts of a particle in the last attempt: then it has no room
-MOST_RATTLING = 30_000  # the same where nothing but drag, friction or a flow presses spheres together, which keeps no contacts
+MOST_RATTLING = 30_000  # the same where something presses spheres together that keeps no contacts: drag, friction, a flow
 
 
 class ElasticContacts(NamedTuple):
@@ -80,7 +80,7 @@ class EventDriven:
         first = TAKING / max(1.0 - left, TAKING / MOST_FIRST_QUICK)
         first = max(first, LEAST_QUICK, min(FEW_EFFORT / max(total, 1), FEW_FIRST_QUICK))
         self.attempts = int(first), *QUICK_CONTACTS
-        without_hold = MOST_RATTLING if effects.lossy and effects.on_velocities else NEVER_CROWDED
+        without_hold = MOST_RATTLING if effects.lossy and (forces or effects.on_velocities) else NEVER_CROWDED
         most = MOST_QUICK if hold else without_hold
         self.collapse = Collapse(0.0, 0 if duration is not None else before, at_once, stops, most)
         self.tc_elastic = ElasticContacts(0, np.inf, np.empty((0, 3)))

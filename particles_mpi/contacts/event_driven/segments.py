@@ -134,7 +134,11 @@ def collide(axes, segment, reference, i, j, t, loss, length, rates, rough, smoot
         r[k] -= image_shift(r[k], length[k])
     if d == 1:
         if segment[i, 2 * d + RADIUS] + segment[j, 2 * d + RADIUS] <= round_off(segment, i, j):
-            segment[j, 0] = segment[i, 0] - ((segment[i, 0] - segment[j, 0]) - r[0])  # in the same periodic image
+            shift = image_shift(segment[i, 0] - segment[j, 0], length[0])
+            if other > 0.0:
+                segment[j, 0] = segment[i, 0] - shift
+            if own > 0.0:  # across a border the place that is further out is the coarser number
+                segment[i, 0] = segment[j, 0] + shift
             r[0] = 0.0
         approach = r[0] * (segment[i, d] - segment[j, d])
         r[0] = 1.0 if segment[i, d] < segment[j, d] else -1.0

@@ -2,7 +2,7 @@
 
 The first half second of the run is tried, with output, for the forecast of seconds; a short run at steps of h, h/2 and h/4
 gives the errors. Takes two to five seconds. How short it is follows from `counted_seconds`, and from no clock: the errors of a
-scene are told the same each time, unless its steps take too long to tell any.
+scene are the same each time, unless its steps take too long to measure any. The energy under collisions is that of the trial.
 """
 
 import os

@@ -36,7 +36,6 @@ ENSEMBLE_DISPLACEMENT = 1e-4  # of the size or the speed: members of an ensemble
 MOST_FOR_DIRECT_SUM = 3000  # for which a reference is computed by the direct sum, over all pairs
 ENSEMBLE_REFINEMENT, MOST_HALVINGS = 4, 9  # reference of a chaotic scene: steps that much shorter; of others: halvings at most
 ENSEMBLE_SIZE = 8  # runs
-DRAG_SHARE = 0.1  # of the seconds, at most, are for the first of a series of runs whose steps drag makes shorter
 NOISE = 10.0  # times what round-off can change: differences above are differences
 LEAST_ORDER, SLOWEST_ORDER = 1.5, 0.25  # of differences between steps: below the first they are not extrapolated; at least
 REFERENCE_SHARE = 1.0 / 3.0  # of the seconds given are for the reference
@@ -131,7 +130,9 @@ def by_steps(start: Start, seconds: float) -> ErrorMetric:
     price = cost(start, probe, 0.02 * seconds)
     found = affordable(start, price * (ENSEMBLE_SIZE * fine + 4.0), seconds)
     needed = start.drag.max(initial=0.0) * found.span  # with fewer steps drag stops particles within a step
-    steps = max(start.scene.steps * found.part, min(needed, DRAG_SHARE * seconds / (price * start.scene.time.step)))
+    steps = max(
+        start.scene.steps * found.part, min(needed, seconds / (price * start.scene.time.step * (ENSEMBLE_SIZE * fine + 4.0)))
+    )
     steps = whole_parts(steps, found.snapshots)
     scene = exact_scene(start, steps, found.span)
     first, displaced = (follow(start, start.simulate(scene, shifted, found.span), found.snapshots) for shifted in (0, 1))
@@ -164,13 +165,14 @@ def converge(found: ErrorMetric, first: Record, steps: int, seconds: float) -> t
         records.append(follow(start, start.simulate(exact_scene(start, steps * 2 ** len(column), found.span)), found.snapshots))
         column.append(places_and_energies(records[-1], first, start.length))
         value, change = extrapolated(column)
-        better = change < 0.5 * uncertainty  # if not, round-off or corners are all that is left
+        change += start.late(found.span / records[-1].steps)
+        better = change < 0.6 * uncertainty or start.events  # if not, round-off or corners are all that is left
         by_chance = change > max(uncertainty, NOISE * limit)  # the last two agreed, as where an event falls into the same step
         if by_chance or change <= uncertainty:
             best, uncertainty, better = value, change, better or by_chance
         spent += records[-1].counted
     one, two = (start.apart(a.places, b.places) for a, b in pairwise(records[:3]))
-    has_order = min(one, two) > limit
+    has_order = min(one, two) > NOISE * limit
     found.order = float(np.log2(one / two)) if has_order else nan
     seen = f"order {found.order:.2f}" if has_order else "the step makes no error"
     found.reference = f"{method_in_words(start)}, steps of 1 to 1/{2 ** (len(column) - 1)}, extrapolated ({seen})"

@@ -94,10 +94,11 @@ class Start:
         self.duration = scene.steps * scene.time.step
         self.length = scene.periodic_length  # of periodic axes, 0 of others
         self.movable = self.particles.fixed == 0
-        self.drag = self.particles["drag"][self.movable] if effects.damping else np.zeros(0)
-        self.fall = sum(
-            float(np.sqrt((np.asarray(force.g) ** 2).sum())) for force in effects.forces.values() if force.g is not None
-        )
+        active = ActiveEffects(scene)
+        self.events = bool(active.events)
+        self.drag = self.particles["drag"][self.movable] if active.damping else np.zeros(0)
+        uniform = (np.asarray(force.g) for force in active.forces.values() if force.g is not None)
+        self.fall = sum(float(np.sqrt((g**2).sum())) for g in uniform)
         self.middle = self.particles.position[self.movable].mean(axis=0) if self.movable.any() else np.zeros(scene.dimension)
 
     def snapshots(self, part: float) -> int:
@@ -140,6 +141,13 @@ class Start:
             v += amount * (rms_distance(v, np.zeros(p.dimension)) or size / (duration or 1.0)) * shift
         else:
             x += amount * size * shift
+
+    def late(self, h: float) -> float:
+        """Return how far the fastest particle travels in a step of h if there are events, which act up to a step late.
+
+        How late is a matter of chance: of h, h/2, h/4 and so on any number may be late by the same.
+        """
+        return h * float(np.sqrt((self.particles.velocity**2).sum(axis=1)).max(initial=0.0)) if self.events else 0.0
 
     def untravelled(self, h: float) -> float:
         """Return how far, at most, a particle travels at the start while drag stops it within a step of h, which steps leave out.

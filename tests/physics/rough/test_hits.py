@@ -162,8 +162,9 @@ def test_contacts_within_t_c_of_the_last_one_take_nothing(what, restitution):
     assert len(energies) > 2 and energies == pytest.approx([energies[0]] * len(energies), rel=1e-12)
 
 
+@pytest.mark.parametrize("read", [False, True])
 @pytest.mark.parametrize("later", [0.0, -2.5, 7.0])
-def test_the_clock_may_be_set_between_two_contacts(later):
+def test_the_clock_may_be_set_between_two_contacts(later, read):
     """The second one is long after the first, whatever the clock says: it takes energy."""
     effects = {"collisions": {"mode": "event", "contact_duration": 0.2}, "walls": {"restitution": 0.5}}
     ball = {"position": [[2.0]], "velocity": [-2.0], "radius": 0.5}
@@ -171,6 +172,8 @@ def test_the_clock_may_be_set_between_two_contacts(later):
     sim = Simulation(Scene(dimension=1, box=box, time={"step": 0.05, "steps": 80}, effects=effects, particles=[ball]))
     sim.steps(40)
     sim.particles.velocity *= -1.0
+    before = sim.particles.contacted.copy() if read else 0.75
     sim.time += later
+    assert sim.particles.contacted == pytest.approx(before + later)
     sim.steps(40)
     assert sim.totals["wall_hits"] == 2 and sim.particles.velocity[0, 0] == pytest.approx(0.5) and not sim.remarks()

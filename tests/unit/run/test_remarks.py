@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from conftest import environment
 
@@ -45,6 +46,22 @@ def test_energy_is_judged_wherever_height_is_zero(tmp_path, height):
         tmp_path / "p", time={"step": 0.01, "steps": 100}, particles=[{"position": [[0.0, height]], "mass": 1.0}], effects=gravity
     )
     assert not about["remarks"]
+
+
+def test_what_is_at_rest_is_not_judged_by_round_off(tmp_path):
+    """A ball in valleys of two planes: all that changes of its energy is an ulp."""
+    for number in range(8):
+        angles = np.random.default_rng(number).uniform(0.1, 1.4, 2)
+        normals = [[sign * np.sin(angle), np.cos(angle)] for sign, angle in zip((1.0, -1.0), angles, strict=True)]
+        about = ended(
+            tmp_path / str(number), time={"step": 0.001, "steps": 100},
+            particles=[{"position": [np.linalg.solve(normals, [0.1, 0.1]).tolist()], "radius": 0.1, "mass": 1.0}],
+            effects={
+                "uniform_gravity": {"acceleration": [0.0, -9.8]},
+                "walls": {"restitution": 0.5, "planes": [{"point": [0.0, 0.0], "normal": normal} for normal in normals]},
+            },
+        )  # fmt: skip
+        assert not about["remarks"]
 
 
 def test_a_run_that_is_continued_judges_the_energy_of_all_of_it(tmp_path):
