@@ -34,7 +34,7 @@ for name, tables in SCENES.items():
     start = Start(lab, Scene.from_dict({"dimension": 3, "seed": 4, "box": box, **tables}))
     metric = reference(start, 1e4)
     error = next(iter(metric.limits))
-    search = Search(start, metric, error, 0.1, 1e4)
+    search = Search(start, metric, {error: 0.1}, 1e4)
     for method in methods(start):
         search.attempt(method, 2.0 * start.scene.steps)
     rows = {trial.name: {what: wrong.hex() for what, wrong in trial.errors.items()} for trial in search.trials}
