@@ -44,12 +44,6 @@ def takes_energy(surface: tuple[float, float]) -> bool:
     return surface[0] > 0.0 and surface != (inf, 1.0)
 
 
-@inner(inline="always")
-def row_takes_energy(law, row):
-    """`takes_energy` of a row of the table `law`."""
-    return law[row, FRICTION] > 0.0 and not (law[row, FRICTION] == np.inf and law[row, BETA_0] == 1.0)
-
-
 def no_spins(dimension: int, law: Array) -> Rough:
     """Return the `Rough` of a smooth scene."""
     return Rough(np.empty((0, 1)), np.empty(0), law, np.empty(dimension), np.empty(dimension))

@@ -81,7 +81,7 @@ class Engine:
         self.expiries = 0  # of lists since `load`
         self.ahead = 0.0
         self.pending = 0  # rows in work.stale
-        self.set_step(NEVER_CROWDED, no_rates(d), Collapse(0.0, 0, 0, False, NEVER_CROWDED))
+        self.set_step(NEVER_CROWDED, no_rates(d), Collapse(0.0, 0, 0, False, NEVER_CROWDED, False, planes.lossy))
 
     def set_step(self, crowd_from: int, rates: Rates, collapse: Collapse) -> None:
         """Set for a step: how many quick contacts make a crowd, `Rates`, and which contacts take no energy."""

@@ -40,7 +40,7 @@ from particles_mpi.contacts.event_driven.rows import (
 )
 from particles_mpi.contacts.event_driven.segments import collide, move_to
 from particles_mpi.contacts.law import Loss
-from particles_mpi.contacts.rough import PAIRS, Rough, row_takes_energy
+from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.contacts.walls import bounce, meet_wall
 from particles_mpi.kernels.jit import in_place, lean, lean_inner
@@ -131,9 +131,7 @@ def renew_list(axes, rows, lists, work, log, i, now, ahead):
 def hit_wall(axes, rows, lists, rules, rough, work, log, i, wall, t, clock):
     """Carry out the contact of row i with a wall at time t."""
     segment, state, planes, d = rows.segment, rows.state, rules.planes, len(axes)
-    lossy = planes.restitution[wall] * planes.velocity_factor[wall] < 1.0
-    lossy |= rules.collapse.before == 0 and row_takes_energy(rough.law, 1 + wall)  # what the scene's t_c holds for
-    elastic = lossy and takes_nothing(d, rows, i, t, clock, rules.collapse)
+    elastic = rules.collapse.of_walls[wall] and takes_nothing(d, rows, i, t, clock, rules.collapse)
     note_contact(axes, rows, i, t, -1 - wall, clock, elastic, rules.collapse, rules.crowd_from, work.any_squeezed)
     move_to(axes, segment, i, t)
     w = lists.reference[i, d + INVERSE_MASS]
@@ -158,9 +156,7 @@ def hit_row(axes, rows, lists, rules, rough, work, log, i, j, t, clock):
     collides = max(state[i, RAPID_EVENTS], state[j, RAPID_EVENTS]) < JAMMED
     if collides:
         collapse, any_squeezed = rules.collapse, work.any_squeezed
-        lossy = rules.loss.restitution * rules.loss.velocity_factor < 1.0
-        lossy |= collapse.before == 0 and row_takes_energy(rough.law, PAIRS)
-        elastic = lossy and (
+        elastic = collapse.of_pairs and (
             takes_nothing(len(axes), rows, i, t, clock, collapse) or takes_nothing(len(axes), rows, j, t, clock, collapse)
         )
         note_contact(axes, rows, i, t, state[j, ID], clock, elastic, collapse, rules.crowd_from, any_squeezed)

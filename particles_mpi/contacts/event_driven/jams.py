@@ -24,6 +24,7 @@ from particles_mpi.contacts.event_driven.rows import (
 from particles_mpi.contacts.event_driven.segments import move_to
 from particles_mpi.kernels.jit import in_place, lean_inner
 from particles_mpi.kernels.markers import RADIUS, START
+from particles_mpi.particles import Array
 
 QUICK = 0.01  # of a drift: a contact so soon after the last one is quick
 STANDING = 1e-9  # of a drift: time that does not count as passed
@@ -49,6 +50,8 @@ class Collapse(NamedTuple):
     at_once: int
     stops: bool
     most: int
+    of_pairs: bool  # do these rules concern contacts of pairs? Not if they take no energy anyway
+    of_walls: Array  # (planes,) bool, the same of each plane
 
 
 @lean_inner
