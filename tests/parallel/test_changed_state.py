@@ -227,7 +227,11 @@ def test_arrays_of_an_earlier_step_cannot_be_written_to_unnoticed():
         ("sim.remove([1.7])", ValueError, "takes ids, which are integers"),
         ("sim.remove([-1, 10**9])", ValueError, r"remove: not found: particles -1 and 1000000000"),
         *(
-            (f"sim.attach({name!r}, sim.particles.mass)", ValueError, "must be a new name, of letters")
+            (
+                f"sim.attach({name!r}, sim.particles.mass)",
+                ValueError,
+                "must be a new name, of letters, digits and _, that begins with a letter",
+            )
             for name in ("a/b", "_mine", "")
         ),
     ],

@@ -19,7 +19,6 @@ from particles_mpi.contacts.event_driven.event_loop import HIGHER, LOWER, TC_ELA
 from particles_mpi.contacts.event_driven.jams import Collapse
 from particles_mpi.contacts.event_driven.whole import CHANGING, Whole
 from particles_mpi.contacts.event_driven.windows import Windows
-from particles_mpi.contacts.rough import takes_energy
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.parallel.exchange import allgather_rows
@@ -84,9 +83,10 @@ class EventDriven:
         without_hold = MOST_RATTLING if effects.lossy and (forces or effects.on_velocities) else NEVER_CROWDED
         most = MOST_QUICK if hold else without_hold
         given = duration is not None  # then it holds for all contacts that take energy, else for what they take of the approach
-        rough = np.array([given and takes_energy((mu, beta_0)) for mu, beta_0 in effects.surfaces.tolist()])
-        of_walls = rough[1:] | planes.lossy
-        self.collapse = Collapse(0.0, 0 if given else before, at_once, stops, most, bool(rough[0] or left < 1.0), of_walls)
+        of_walls = effects.walls.taking if given and effects.walls else planes.lossy
+        self.collapse = Collapse(
+            0.0, 0 if given else before, at_once, stops, most, pairs.lossy if given else left < 1.0, of_walls
+        )
         self.tc_elastic = ElasticContacts(0, np.inf, np.empty((0, 3)))
         self.crowded_steps = 0
         self.pause, self.next_pause = 0, 1  # drifts that every rank computes as a whole, after windows that did not pay

@@ -113,7 +113,7 @@ def test_data_of_the_users_own_goes_with_the_particles(tmp_path):
         p = other.particles
         assert (p.charge == p.id * 0.5).all() and p.tag.dtype == np.int16
         assert (p.tag == p.id[:, None] * 2 + [0, 1]).all()
-    with pytest.raises(ValueError, match="must be a new name, of letters"):
+    with pytest.raises(ValueError, match="must be a new name, of letters, digits and _"):
         sim.attach("mass", np.ones(40))
     with pytest.raises(ValueError, match="40 particles"):
         sim.attach("short", np.ones(3))
