@@ -35,6 +35,8 @@ class Membership(State):
             rows, warnings = add_population(self.scene, self.ranks, self.rows, given, self.next_id, number)
         self.warnings += warnings
         added = self.ranks.total(len(rows) - len(self.rows))[0]
+        if added:
+            self.output_record.forget_rates(self.time)
         self.rows.replace(rows.arrays)
         self.particles.close()
         self.next_id += added
@@ -57,6 +59,8 @@ class Membership(State):
             gone = exact_sums(self.ranks, [self.rows.virial[here]])[0]
             for since in self.output_record.observed.values():
                 since[2] -= gone
+        if len(named):
+            self.output_record.forget_rates(self.time)
         self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
         self.particles.close()
         self.build()

@@ -8,6 +8,7 @@ import numpy as np
 
 from particles_mpi.between_steps.membership import Membership
 from particles_mpi.contacts.drift import COUNTS, WORK
+from particles_mpi.contacts.notes import ContactNotes
 from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.errors import SceneError
 from particles_mpi.measure import snapshot
@@ -48,7 +49,7 @@ class Saved(Membership):
         sim.begin(scene, ranks, rows, metadata["next_id"])
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
         sim.clock_start = metadata["moment"][0], metadata["moment"][1]
-        sim.output_record.observed = {reader: list(since) for reader, since in metadata["observed"].items()}
+        sim.output_record.observed = {reader: [*since, 0.0, 0.0][:5] for reader, since in metadata["observed"].items()}
         if sim.persistent:
             sim.persistent.history.restore(contacts)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
@@ -89,14 +90,14 @@ class Saved(Membership):
         return sim
 
     def count_on(self, past: dict[str, Any]) -> None:
-        """Go on with the counts of a resumed run, which rank 0 carries for all ranks, and with its remarks."""
+        """Go on with the counts of a resumed run, which rank 0 carries for all ranks, and with the notes for its remarks."""
         counts = past["counts"]
         if self.ranks.is_root:
             self.ranks.messages += counts["messages"]
             self.ranks.reductions += counts["reductions"]
             self.drift.past_work = {name: counts.get(name, 0) for name in WORK}
         self.calls.update({name: self.calls.get(name, 0) + calls for name, calls in past["calls"].items()})
-        self.drift.past_remarks = past["remarks"]
+        self.drift.past_notes = ContactNotes(**past.get("notes", {}))  # earlier versions kept none
 
     def copy(self) -> Self:
         """Another simulation in the same state. Collective."""

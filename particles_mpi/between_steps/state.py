@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from math import nan
 from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
@@ -40,9 +41,15 @@ class OutputRecord:
     def __init__(self) -> None:
         self.reported = [0] * len(COUNTS)  # at the last row of diagnostics
         self.written: dict[str, int] = {}  # the steps of the last row and frame
-        # Time, collisions and virial at the last row with observables, and at the last call of `measure`
-        self.observed = {"row": [0.0, 0.0, 0.0], "call": [0.0, 0.0, 0.0]}
+        # `since` of `measure.diagnostics.observe` for the last row with observables, and for the last call of `measure`
+        self.observed = {"row": [0.0] * 5, "call": [0.0] * 5}
         self.saved: tuple[Path, int, Any] | None = None  # folder, step and `identity_of` its last checkpoint
+
+    def forget_rates(self, time: float) -> None:
+        """Particles were added or removed at this time: what was counted before it is of other particles."""
+        for since in self.observed.values():
+            if time != since[0]:
+                since[1] = since[2] = nan
 
 
 class State:

@@ -8,6 +8,7 @@ The files and folders, in the order in which to read them:
     walls            the contact of a sphere and a plane, and a drift with walls alone
     clearance        can any contact take place in a drift? A test of all pairs of a few spheres, for `integrators.many_steps`
     velocity_flow    how forces, drag and friction change velocities between the middle of a step and a contact in it
+    notes            what may be wrong with the contacts of a run, and the remarks that say so at its end
     closing_kick     completes the impulses of contacts at the end of a step, where forces depend on positions
     time_stepped/    mode `rewind`: the contacts of a drift in a few passes over all candidate pairs
     event_driven/    mode `event`: the contacts of a drift one after the other, in exact order of time

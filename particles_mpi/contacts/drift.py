@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from particles_mpi.contacts.closing_kick import ClosingKick
+from particles_mpi.contacts.notes import ContactNotes
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.kernels.geometry import wrap
 from particles_mpi.kernels.jit import plain
@@ -58,7 +59,7 @@ class Drift:
         self.known = -1, -1  # version and edition of the particles then
         self.pushed: Array = np.empty(0, np.int64)  # rows to which lasting contacts added more
         self.past_work: dict[str, int] = {}  # of operators that are no longer there
-        self.past_remarks: list[str] = []
+        self.past_notes = ContactNotes()
         self.accelerations = accelerations
         self.near: Neighbourhood | EventDriven | None = None
         self.operator: Rewind | EventDriven | None = None
@@ -191,7 +192,7 @@ class Drift:
         self.totals, self.calls = before.totals, before.calls
         if self.persistent:
             self.persistent.totals = self.totals
-        self.past_work, self.past_remarks = before.work(), before.remarks_of_operators()
+        self.past_work, self.past_notes = before.work(), before.notes()
 
     def remarks(self) -> list[str]:
         """Return what happened that a user should know, one line for each remark. Collective."""
@@ -203,11 +204,11 @@ class Drift:
             rewind = self.effects.pairs and self.effects.pairs.options.mode == "rewind"
             cure = "; shorter steps, more collisions.passes or mode event help" if rewind else ""
             more.append(f"missed: {missed} times {crowded}; diagnostics.csv shows when{cure}")
-        return [*more, *self.remarks_of_operators()]
+        return [*more, *self.notes().remarks()]
 
-    def remarks_of_operators(self) -> list[str]:
-        """Return the remarks of the present operator, and of operators that it has replaced. Collective."""
-        return list(dict.fromkeys([*self.past_remarks, *(self.operator.remarks() if self.operator else [])]))
+    def notes(self) -> ContactNotes:
+        """Return what may be wrong with the contacts of the present operator, and of those before it. Collective."""
+        return self.past_notes + self.operator.notes() if self.operator else self.past_notes
 
     def work(self) -> dict[str, int]:
         """Searches for neighbours, ghosts, tests of pairs and windows of time so far, of this rank."""

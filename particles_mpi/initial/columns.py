@@ -39,7 +39,7 @@ def is_listed(name: str, value: Any, dimension: int) -> bool:
     if not isinstance(value, list):
         return False
     vector = FIELDS[name].vector or (FIELDS[name].rotation and dimension == 3)
-    return not vector or (len(value) > 0 and isinstance(value[0], list))
+    return not vector or not value or isinstance(value[0], list)
 
 
 class Columns:
@@ -72,16 +72,16 @@ class Columns:
     def fill(self, share: Share, name: str, value: Any) -> None:
         """Fill a field of a population from a number, a list, a file or a range. Collective."""
         mine, own = self.of(share, name, value), self.arrays[name][share.rows]
-        values = np.asarray(mine, float)
+        values = np.broadcast_to(np.asarray(mine, float) if len(own) else 0.0, own.shape)
         if own.dtype.kind in "iu":
             least, most = max(np.iinfo(own.dtype).min, -LARGEST_WHOLE), min(np.iinfo(own.dtype).max, LARGEST_WHOLE)
             whole = (values >= least) & (values <= most) & (values == np.rint(values))
-            wrong = ~whole & np.ones(own.shape if len(own) else (0,), bool)
-            self.refuse(share, name, wrong, f"not a whole number of type {own.dtype} for")
+            self.refuse(share, name, ~whole, f"not a whole number of type {own.dtype} for")
             values = np.where(whole, values, 0.0)
-        if len(own):
-            own[:] = values
-        self.refuse(share, name, np.abs(own) > LARGEST_NUMBER, f"beyond {LARGEST_NUMBER:g} for")
+        largest = min(LARGEST_NUMBER, np.finfo(own.dtype).max) if own.dtype.kind == "f" else LARGEST_NUMBER
+        beyond = np.abs(values) > largest
+        self.refuse(share, name, beyond, f"beyond {largest:g} for")
+        own[:] = np.where(beyond, 0.0, values) if beyond.any() else values
         if name == "mass":  # 1/m must be a number too
             self.refuse(share, name, (own > 0.0) & (own < 1.0 / LARGEST_NUMBER), f"below {1.0 / LARGEST_NUMBER:g} for")
 

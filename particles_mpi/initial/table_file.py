@@ -121,12 +121,12 @@ def columns_in(ranks: Communicator, path: Path, dimension: int, quantities: list
             start = beginning(path)
     start = ranks.bcast(start)
     known = {quantity: names_of(quantity, dimension) for quantity in quantities}
-    given = [quantity for quantity, of in known.items() if start.header and not set(of).isdisjoint(start.cells)]
-    if dimension > 3:
-        return [], ""
+    named = start.header and dimension <= 3
+    given = [quantity for quantity, of in known.items() if named and not set(of).isdisjoint(start.cells)]
     unread = [name for name in filter(None, start.cells) if name not in chain.from_iterable(known.values())] if given else []
     if not given and len(start.cells) > dimension:
-        return [], f"columns after the first {dimension} of {path} are not read: add a header that names them"
+        cure = ": add a header that names them" if dimension <= 3 else ""
+        return [], f"columns after the first {dimension} of {path} are not read{cure}"
     names = ", ".join(chain.from_iterable(known.values()))
     return given, f"columns {', '.join(unread)} of {path} are not read; known are {names}" if unread else ""
 
@@ -151,10 +151,10 @@ def columns_of(given: tuple[str, ...], quantity: str, dimension: int) -> list[in
     """Numbers of the columns that a header with these names gives to a quantity, or what is wrong with it."""
     names = names_of(quantity, dimension)
     named = [name for name in given if name in (*chain.from_iterable(NAMES.values()), "radius", "mass")]
-    if not given or (dimension > 3 and (not named or given[:3] == names)):
+    if dimension > 3 and (wrong := [name for name in given[3:dimension] if name in named] if given[:3] == names else named):
+        return f"its header has {', '.join(wrong)}; in dimension {dimension} columns are taken in order: leave it out"
+    if not given or dimension > 3:
         return list(range(dimension))
-    if dimension > 3:
-        return f"its header has {', '.join(named)}; in dimension {dimension} columns are taken in order: leave it out"
     if missing := [name for name in names if name not in given]:
         shown = [name if name.isprintable() else ascii(name) for name in given[:MOST_SHOWN]]
         have = [name for name in names if name in given] or named or shown

@@ -219,7 +219,8 @@ def main() -> None:
     """Start mpirun, and end as it does."""
     code = Launcher(sys.argv[1:]).relay()
     if code < 0:
-        signal.signal(-code, signal.SIG_DFL)
+        with suppress(OSError):  # a program cannot say what SIGKILL does
+            signal.signal(-code, signal.SIG_DFL)
         os.kill(os.getpid(), -code)
     sys.exit(code)
 

@@ -91,6 +91,8 @@ def report_end(
     about = about_run(sim, plan) | outcome | {"counts": {"steps": sim.steps_done, **counts}}
     write_text(folder / "run.json", sim.ranks, json.dumps(about, indent=2) + "\n")
     formats, shown = sim.scene.output.formats, quote(str(folder))
+    if sim.output_record.written["frame"] < 0:  # there is nothing to be seen
+        return
     if formats:
         say(f"ParaView: paraview {quote(str(folder / 'view_paraview.py'))}")
     if "vtk" in formats:

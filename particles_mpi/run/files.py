@@ -2,6 +2,7 @@
 
 import json
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +139,7 @@ class RunFiles:
             for writer in (*self.frames, self.diagnostics):
                 writer.wait_for_disk()
             metadata = sim.metadata()
-            past = {"counts": run_counts(sim), "calls": sim.calls, "remarks": sim.drift.remarks_of_operators()}
+            past = {"counts": run_counts(sim), "calls": sim.calls, "notes": asdict(sim.drift.notes())}
             kept = metadata | {"reported": self.record.reported, "written": self.record.written, "past": past}
             state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
             state["effect_files"] = json.dumps(sim.scene.digests())

@@ -110,6 +110,8 @@ class Job:
             if pace:
                 pace.reported()
             files.write_frame()
+        elif not files.continues and sim.steps_done % output.every == 0:  # the frames of another folder begin here
+            files.write_frame()
         if sim.steps_done >= self.last and self.resumed:  # nothing is left but to keep what the user changed
             extra = sim.steps_done % output.diagnostics_every != 0
             if extra or not files.continues:

@@ -203,7 +203,7 @@ Spin = one_of("must be a number, {temperature = T} with T >= 0, or a list of num
 SpinVector = one_of("must be a vector [sx, sy, sz], a list of these or {temperature = T} with T >= 0", Numbers, Points, Warmth)
 Position = one_of(
     'must be "random", "lattice", a list of points [[x, y, ...], ...], {plummer = scale length > 0} or {file = "start.csv"}',
-    *(Literal["random", "lattice"], Points, File, table_of(Annotated[Number, Field(gt=0)], "plummer")),
+    *(Literal["random", "lattice"], list[Numbers], File, table_of(Annotated[Number, Field(gt=0)], "plummer")),
 )
 Velocity = one_of(
     "must be [vx, vy, ...], a list of these, {speed = s}, {speed = {min = a, max = b}}, {temperature = T} (all >= 0),"

@@ -49,7 +49,8 @@ def population_faults(scene: Any, key: str, population: Population) -> list[str]
     if population.velocity == "equilibrium" and not (plummer and "mutual_gravity" in scene.effects):
         faults.append(f'{key}.velocity: "equilibrium" needs position = {{plummer = a}} and [effects.mutual_gravity]')
     for name in ("position", "velocity", "acceleration"):
-        faults += wrong_length(f"{key}.{name}", getattr(population, name), d)
+        if (value := getattr(population, name)) != []:  # a list of no vectors is one for no particles
+            faults += wrong_length(f"{key}.{name}", value, d)
     for name, value in (population.model_extra or {}).items():
         if name not in scene.columns:
             faults.append(f"{key_of((key, name))}: unknown key{suggestion(name, [*Population.model_fields, *scene.columns])}")

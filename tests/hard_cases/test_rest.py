@@ -570,7 +570,7 @@ def hit_by_hit(y, mass, e, end):
     end in the last 1e-12 of the floor end the search: what has left them by then goes on by itself.
     """
     y, v, mass, t, g = np.array(y), np.zeros(len(y)), np.array(mass, float), 0.0, 9.81
-    for _ in range(100_000):
+    for _ in range(1000):  # ten thousand give the same to the bit
         gaps, approach = np.maximum(np.diff(y) - 0.2, 0.0), v[:-1] - v[1:]
         pairs = np.where(approach > 1e-12, gaps / np.where(approach > 1e-12, approach, 1.0), np.inf)
         root = np.sqrt(v[0] ** 2 + 2.0 * g * max(y[0] - 0.1, 0.0))

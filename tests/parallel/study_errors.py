@@ -21,7 +21,7 @@ gas = {"count": 100, "position": "random", "velocity": {"temperature": 1.0}, "ra
 fallen = {"count": 80, "position": "random", "velocity": [1.0, 0.0, 2.0], "radius": 0.01, "mass": {"min": 1.0, "max": 2.0}}
 box = {"lower": [0.0] * 3, "upper": [edge] * 3, "periodic": True}
 SCENES = {
-    "gas": {"particles": [gas], "time": {"step": 0.02, "steps": 20}, "effects": {"collisions": {}}},
+    "gas": {"particles": [gas], "time": {"step": 0.02, "steps": 12}, "effects": {"collisions": {}}},
     "pulled": {
         "particles": [fallen],
         "time": {"step": 0.05, "steps": 8},

@@ -402,6 +402,10 @@ def test_an_mpirun_that_crashes_when_all_ranks_have_ended(tmp_path, paragraph, c
     assert found == code and OTHER in said and ("Segmentation" in said) == (code < 0), said
 
 
+def test_an_mpirun_that_is_killed_ends_the_launcher_alike(tmp_path):
+    assert launch(tmp_path / "mpirun", "kill -KILL $$") == (-signal.SIGKILL, "")
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells whether a process has children")
 @pytest.mark.parametrize(("paragraph", "code"), [(ABORTED, 3), (KILLED, 137)])
 def test_an_mpirun_that_waits_for_itself_when_all_ranks_have_ended(tmp_path, paragraph, code):

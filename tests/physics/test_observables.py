@@ -113,6 +113,46 @@ def test_pressure_after_some_were_removed():
     assert row["z_virial"] == pytest.approx(wanted, rel=1e-12) and 1.0 < wanted < 3.0
 
 
+RATES = {"collision_rate", "free_time", "free_path", "z_virial", "z_rate"}
+
+
+def removed(sim):
+    sim.remove(np.arange(0, 300, 2))
+
+
+def added(sim):
+    sim.add({"position": "random", "count": 100, "radius": 0.1})
+
+
+def freed(sim):
+    sim.particles.fixed[:] = False
+
+
+def made_elastic(sim):
+    sim.effects["collisions"].restitution = 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "unknown"),
+    [(removed, RATES), (added, RATES), (freed, RATES), (made_elastic, {"z_rate"})],
+    ids=lambda x: str(x)[:20],
+)
+def test_an_interval_in_which_something_else_collided_has_no_rates(change, unknown, tmp_path):
+    """They are known in the next one; a run that is continued meanwhile tells the same."""
+    sim = Simulation(fluid(0.3, 0.05, 300, mode="event", restitution=0.9 if change is made_elastic else 1.0))
+    sim.particles.fixed[:30] = change is freed
+    sim.measure()
+    sim.steps(10)
+    change(sim)
+    sim.run(tmp_path, steps=sim.steps_done)
+    for one in (sim.copy(), Simulation.resume(tmp_path / "checkpoint.h5")):
+        one.steps(10)
+        assert {name for name, value in one.measure().items() if np.isnan(value)} == unknown
+        one.steps(10)
+        after = {name for name, value in one.measure().items() if np.isnan(value)}
+        assert after == ({"z_rate"} if change is added else set())  # of two radii
+
+
 @pytest.mark.parametrize("d", [2, 3])
 def test_fixed_spheres_have_no_temperature(d):
     """Nor a part in any other moment of velocities, though they move relative to all others, which fly along together."""

@@ -32,6 +32,7 @@ from particles_mpi.contacts.event_driven.rows import (
     write_back,
 )
 from particles_mpi.contacts.law import Loss
+from particles_mpi.contacts.notes import NAMED
 from particles_mpi.contacts.velocity_flow import Rates, no_rates
 from particles_mpi.errors import StateError
 from particles_mpi.kernels.geometry import Box
@@ -50,7 +51,6 @@ FLIGHT_AHEAD, TURNING = 0.8, 0.35
 MOST_EXPIRIES = 8  # of the list of a row, on average; then all rows are sorted in space and listed anew
 NEVER_CROWDED = 2**31
 NO_SPIN = np.empty((0, 1))
-NAMED = 64  # contacts without loss whose time and partners are kept
 
 
 def times_of_contact(p: Particles) -> Array:

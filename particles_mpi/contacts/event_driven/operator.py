@@ -14,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from particles_mpi.contacts.closing_kick import LastContacts
-from particles_mpi.contacts.event_driven.engine import NAMED, NEVER_CROWDED, Engine
+from particles_mpi.contacts.event_driven.engine import NEVER_CROWDED, Engine
 from particles_mpi.contacts.event_driven.event_loop import HIGHER, LOWER, TC_ELASTIC
 from particles_mpi.contacts.event_driven.jams import Collapse
 from particles_mpi.contacts.event_driven.whole import CHANGING, Whole
 from particles_mpi.contacts.event_driven.windows import Windows
+from particles_mpi.contacts.notes import NAMED, ContactNotes
 from particles_mpi.contacts.velocity_flow import Rates
 from particles_mpi.kernels.markers import CROWD
 from particles_mpi.parallel.exchange import allgather_rows
@@ -193,25 +194,10 @@ class EventDriven:
     def pass_by(self, h: float, drifts: int) -> None:
         """Do nothing about drifts that were done elsewhere: the next drift notices by itself that rows have moved."""
 
-    def remarks(self) -> list[str]:
-        """Return the remarks for the end of the run, one line each. Collective."""
+    def notes(self) -> ContactNotes:
+        """Return what may be wrong with the contacts so far. Collective."""
         found = [ElasticContacts(*of_rank) for of_rank in self.ranks.allgather(tuple(self.tc_elastic))]
-        count = sum(of_rank.number for of_rank in found)
-        said = f"collapsing crowds: in {self.crowded_steps} steps some contacts stopped the approach entirely, as if e = 0"
-        crowds = [said] if self.crowded_steps else []
-        if not count:
-            return crowds
         moment = min(of_rank.moment for of_rank in found)
-        first = sorted(tuple(row) for of_rank in found if of_rank.moment == moment for row in of_rank.first)
-        pairs = [(int(a), int(b)) for _, a, b in first[:NAMED]]
-        cluster = set(pairs[0])
-        for pair in pairs:  # in order of time: a cluster grows from its first pair
-            if cluster & {member for member in pair if member >= 0}:
-                cluster |= set(pair)
-        ids, walls = [str(k) for k in sorted(cluster) if k >= 0], [str(-1 - k) for k in sorted(cluster) if k < 0]
-        where = f"particles {', '.join(ids)}" + (f" and wall {', '.join(walls)}" if walls else "")
-        return [
-            *crowds,
-            f"inelastic collapse: {count} contacts took no energy, because they came too soon after others, "
-            f"the first in the step from t = {moment:g} among {where}",
-        ]
+        first = sorted(list(map(float, row)) for of_rank in found if of_rank.moment == moment for row in of_rank.first)
+        number = sum(of_rank.number for of_rank in found)
+        return ContactNotes(crowded_steps=int(self.crowded_steps), lossless=number, moment=moment, first=first[:NAMED])

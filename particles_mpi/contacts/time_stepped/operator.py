@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from particles_mpi.contacts.closing_kick import LastContacts
+from particles_mpi.contacts.notes import ContactNotes
 from particles_mpi.contacts.rough import Rough
 from particles_mpi.contacts.time_stepped.contact_search import brushed_pairs, find_contacts, find_wall_hits
 from particles_mpi.contacts.time_stepped.passes import (
@@ -125,9 +126,9 @@ class Rewind:
         self.virial = near.particles.arrays.get("virial", NONE)
         self.virial_before = self.virial.copy()
 
-    def remarks(self) -> list[str]:
-        """Return the remarks for the end of the run, one line each. Collective."""
-        return self.signs.remarks(self.exact)
+    def notes(self) -> ContactNotes:
+        """Return what may be wrong with the contacts so far. Collective."""
+        return self.signs.notes(self.exact)
 
     def all_passes(self, h: float) -> tuple[Array, float]:
         """Make all passes; each row is left at the start of its last segment. Collective.

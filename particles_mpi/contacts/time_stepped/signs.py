@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from particles_mpi.contacts.notes import ContactNotes
 from particles_mpi.contacts.time_stepped.contact_search import NOTICEABLE, deepest_overlap
 from particles_mpi.neighbours.candidates import Hits
 from particles_mpi.neighbours.neighbour_list import Neighbourhood
@@ -67,20 +68,8 @@ class Signs:
         self.collisions += collisions
         self.late_collisions += late
 
-    def remarks(self, exact: "Callable[[], EventDriven]") -> list[str]:
-        """Return the remarks for the end of the run; `exact`: returns the operator that did the dense steps. Collective."""
-        remarks = []
-        if self.dense_steps:
-            dense = f"{self.dense_steps} steps had more contacts than passes could put in order: they were done in order of time"
-            remarks += [dense, *exact().remarks()]
+    def notes(self, exact: "Callable[[], EventDriven]") -> ContactNotes:
+        """Return what may be wrong with the contacts so far; `exact`: returns the operator of the dense steps. Collective."""
         late, found, too_fast = self.near.ranks.total(self.late_collisions, self.collisions, self.too_fast)
-        if too_fast:
-            remarks.append(
-                "spheres crossed more than their diameter in a step, and may have collided in a wrong order: shorten time.step"
-            )
-        if late:
-            remarks.append(
-                f"collisions found late, when spheres overlapped: {late} of {found}; "
-                "shorter steps have fewer, mode event has none"
-            )
-        return remarks
+        notes = ContactNotes(self.dense_steps, late=int(late), found=int(found), too_fast=int(too_fast))
+        return notes + exact().notes() if self.dense_steps else notes

@@ -230,13 +230,35 @@ def test_a_header_counts_wherever_it_is_read(tmp_path):
 
 def test_columns_beyond_three_axes_are_taken_in_order(tmp_path):
     """A header that says otherwise is refused."""
-    for header, says in (("x,y,z,w", ""), ("a,b,c,d", ""), ("y,x,z,w", "its header has y, x, z; in dimension 4")):
+    for header, says in (
+        ("x,y,z,w", ""),
+        ("a,b,c,d", ""),
+        ("y,x,z,w", "its header has y, x, z; in dimension 4"),
+        ("x,y,z,mass", "its header has mass; in dimension 4"),
+    ):
         (tmp_path / "a.csv").write_text(f"{header}\n1,2,3,4\n")
         if says:
             assert says in faults({"position": {"file": "a.csv"}}, dimension=4, box=None, folder=tmp_path)
         else:
             particles, _ = start({"position": {"file": "a.csv"}}, dimension=4, box=None, folder=tmp_path)
             assert particles.position.tolist() == [[1.0, 2.0, 3.0, 4.0]]
+    (tmp_path / "a.csv").write_text("x,y,z,w,mass\n1,2,3,4,5\n")
+    _, (warning,) = start({"position": {"file": "a.csv"}}, dimension=4, box=None, folder=tmp_path)
+    assert "columns after the first 4 of" in warning and warning.endswith("are not read")
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3, 4])
+def test_lists_without_an_entry_are_no_particles(dimension):
+    """At the start and later, with values of any form; but not where other lists have entries, or `count` asks for some."""
+    more = [{}, {"count": 0}, {"velocity": [], "mass": [], "radius": []}, {"velocity": [1.0] * dimension, "mass": 2.0}]
+    one = {"position": [[0.5] * dimension], "radius": 0.01}
+    for values in more:
+        assert len(start({"position": [], **values}, dimension=dimension, box=None)[0]) == 0
+        sim = Simulation(scene(one, dimension=dimension, box=None))
+        assert len(sim.add({"position": np.zeros((0, dimension)), **values})) == 0 and sim.total == 1
+    assert "position: 0 entries, but count = 2" in faults({"count": 2, "position": []}, dimension=dimension, box=None)
+    for name in ("velocity", "mass"):
+        assert f"{name}: 0 entries, but position has 1" in faults(one | {name: []}, dimension=dimension, box=None)
 
 
 @pytest.mark.parametrize("header", ["", "y,x\n"])

@@ -197,6 +197,20 @@ def test_the_last_row_is_there_when_nothing_is_left_to_do(tmp_path):
     assert Run(tmp_path / "b").diagnostics["step"].tolist() == [10]
 
 
+def test_frames_in_another_folder_begin_where_the_run_goes_on(tmp_path):
+    """Where nothing is left to do, too; and only if that step is one with a frame: else there may be none, and nothing to see."""
+    tables = {"dimension": 2, "time": {"step": 0.01, "steps": 10}, "effects": {}}
+    particles = [{"position": [[0.0, 0.0]], "velocity": [1.0, 0.0]}]
+    for every, frames in ((5, {4: [5, 10], 5: [5, 10], 10: [10]}), (3, {9: [9], 10: []})):
+        for stop, steps in frames.items():
+            sim = Simulation(Scene(**tables, output={"every": every}, particles=particles))
+            sim.run(tmp_path / f"{every}.{stop}", steps=stop)
+            here = tmp_path / f"{every}.{stop}.on"
+            Simulation.resume(tmp_path / f"{every}.{stop}" / "checkpoint.h5").run(here, resumed=True)
+            assert [frame.step for frame in Run(here)] == steps
+            assert (here / "particles.pvd").exists() == (steps != [])
+
+
 def test_what_is_fixed_by_a_table_is_so_in_each_form_of_the_scene(tmp_path):
     (tmp_path / "a.csv").write_text("x,y,fixed\n0.1,0.2,1\n0.5,0.6,0\n")
     tables = {"dimension": 2, "time": {"step": 0.01, "steps": 2}, "particles": [{"position": {"file": "a.csv"}}]}

@@ -245,6 +245,16 @@ def test_a_default_is_a_value_of_its_column(tmp_path, column):
         sim(write(tmp_path, f"needs = Needs(columns={{'odd': Column({column})}})\ndef add(s, p, a): pass"))
 
 
+@pytest.mark.parametrize("value", [1e60, [1.0, 3.5e38], {"min": 0.0, "max": 1e60}])
+def test_no_value_of_a_column_is_beyond_its_numbers(tmp_path, value):
+    file = write(tmp_path, "needs = Needs(columns={'odd': Column('float32')})\ndef add(s, p, a): pass")
+    two = {"position": [[1.0, 0.0], [0.0, 2.0]]}
+    with pytest.raises(SceneError, match=r"particles\[0\]\.odd: beyond 3\.40282e\+38 for particle"):
+        sim(file, particles=[two | {"odd": value}])
+    with pytest.raises(SceneError, match=r"particles\[1\]\.odd: beyond 3\.40282e\+38 for particle"):
+        sim(file, particles=[two]).add(two | {"odd": value})
+
+
 def test_names_of_the_program_in_an_effect_are_refused(tmp_path):
     with pytest.raises(SceneError, match=r"effects\.mine\.file: self\.g is used by the program itself"):
         sim(write(tmp_path, "def __init__(s, o, c): s.g = o.k\ndef add(s, p, a): a -= s.g * p.position"))
