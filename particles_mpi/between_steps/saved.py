@@ -12,6 +12,7 @@ from particles_mpi.contacts.notes import ContactNotes
 from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.errors import SceneError
 from particles_mpi.measure import snapshot
+from particles_mpi.measure.energy_change import Energies
 from particles_mpi.output.checkpoint import Checkpoint
 from particles_mpi.output.files import identity_of
 from particles_mpi.parallel.agreement import raising_together, same_on_all
@@ -98,6 +99,7 @@ class Saved(Membership):
             self.drift.past_work = {name: counts.get(name, 0) for name in WORK}
         self.calls.update({name: self.calls.get(name, 0) + calls for name, calls in past["calls"].items()})
         self.drift.past_notes = ContactNotes(**past.get("notes", {}))  # earlier versions kept none
+        self.output_record.energies = Energies(**past.get("energies", {}))
 
     def copy(self) -> Self:
         """Another simulation in the same state. Collective."""

@@ -18,6 +18,7 @@ from particles_mpi.initial.checks import value_limits
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.integrators.many_steps import ManySteps
 from particles_mpi.kernels.validity import find_invalid
+from particles_mpi.measure.energy_change import Energies
 from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import describe_unexpected, same_on_all
 from particles_mpi.parallel.communicator import Communicator
@@ -43,6 +44,7 @@ class OutputRecord:
         self.written: dict[str, int] = {}  # the steps of the last row and frame
         # `since` of `measure.diagnostics.observe` for the last row with observables, and for the last call of `measure`
         self.observed = {"row": [0.0] * 5, "call": [0.0] * 5}
+        self.energies = Energies()  # of the rows so far
         self.saved: tuple[Path, int, Any] | None = None  # folder, step and `identity_of` its last checkpoint
 
     def forget_rates(self, time: float) -> None:

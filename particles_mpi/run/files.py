@@ -106,6 +106,7 @@ class RunFiles:
             row["imbalance"] = most * self.ranks.size / sim.total if sim.total else 1.0
             record.reported = list(totals)
             self.diagnostics.write(row)
+            record.energies.add(row["total_energy"], row["kinetic"])
             record.written["row"] = sim.steps_done
         if extra:
             record.reported, record.observed["row"], record.written["row"] = before
@@ -140,6 +141,7 @@ class RunFiles:
                 writer.wait_for_disk()
             metadata = sim.metadata()
             past = {"counts": run_counts(sim), "calls": sim.calls, "notes": asdict(sim.drift.notes())}
+            past["energies"] = asdict(self.record.energies)
             kept = metadata | {"reported": self.record.reported, "written": self.record.written, "past": past}
             state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
             state["effect_files"] = json.dumps(sim.scene.digests())

@@ -9,11 +9,12 @@ from typing import Any
 
 from particles_mpi.errors import Interrupted, SceneError, StateError, StoppedError, whole_number
 from particles_mpi.kernels.validity import WATCH_EVERY
+from particles_mpi.measure.energy_change import Energies
 from particles_mpi.output.files import identity_of
 from particles_mpi.parallel.agreement import await_all, same_on_all
 from particles_mpi.parallel.signals import StopRequest
 from particles_mpi.run.console import Screen
-from particles_mpi.run.ending import PROGRAM, Energies, report_end
+from particles_mpi.run.ending import PROGRAM, report_end
 from particles_mpi.run.files import RunFiles
 from particles_mpi.run.forecast import Forecast, Forecaster
 from particles_mpi.scene.plan import plan
@@ -49,7 +50,6 @@ class Job:
         self.setup_began = perf_counter() if setup_began is None else setup_began
         self.rehearsal, self.notes, self.scene_file = rehearsal, notes, scene_file
         self.forecast: Forecast | None = None
-        self.energies = Energies()
         self.screen = Screen(self.ranks.is_root, quiet or rehearsal)
         sim.take_changes()
         self.plan = plan(self.scene, sim.rows, self.ranks, self.last)
@@ -74,7 +74,7 @@ class Job:
                 return
             seconds = {"setup": setup, "loop": perf_counter() - begin}
             phases = {name: total - before.get(name, 0.0) for name, total in sim.timers.seconds.items()}
-            report_end(sim, self.plan, self.folder, self.screen, seconds, phases, begun_with, self.energies, not stopped)
+            report_end(sim, self.plan, self.folder, self.screen, seconds, phases, begun_with, not stopped)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.files.give_up()
@@ -101,12 +101,10 @@ class Job:
         pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
         shown = sim.steps_done
         show = self.screen.start(shown, self.last)
-        if self.scene_file:  # else a script may have changed the state since the rows of an earlier job
-            for earlier in map(dict, (zip(files.diagnostics.columns, row, strict=True) for row in files.diagnostics.rows)):
-                if int(earlier["particles"]) == sim.total:
-                    self.energies.add(float(earlier["total_energy"]), float(earlier["kinetic"]))
+        if not self.scene_file:  # a script may have changed the state since the rows of an earlier job
+            sim.output_record.energies = Energies()
         if not self.resumed:
-            row = self.write_row()
+            row = files.write_row()
             if pace:
                 pace.reported()
             files.write_frame()
@@ -115,7 +113,7 @@ class Job:
         if sim.steps_done >= self.last and self.resumed:  # nothing is left but to keep what the user changed
             extra = sim.steps_done % output.diagnostics_every != 0
             if extra or not files.continues:
-                row = self.write_row(extra)
+                row = files.write_row(extra)
         if sim.steps_done == self.last or (self.resumed and not files.continues):
             self.save()
         periods = output.every, output.diagnostics_every, output.checkpoint_every
@@ -126,7 +124,7 @@ class Job:
             if final or any(n % k == 0 for k in (WATCH_EVERY, output.every, output.checkpoint_every)):
                 sim.watch()
             if n % output.diagnostics_every == 0 or final:
-                row = self.write_row(extra=n % output.diagnostics_every != 0)
+                row = files.write_row(extra=n % output.diagnostics_every != 0)
             if n % output.every == 0:
                 files.write_frame()
             if n % output.checkpoint_every == 0 or final:
@@ -141,12 +139,6 @@ class Job:
                 self.save()
             show(sim.steps_done, row)
         return stopped
-
-    def write_row(self, extra: bool = False) -> dict[str, Any]:
-        """Write a row of diagnostics; returns it."""
-        row = self.files.write_row(extra)
-        self.energies.add(row["total_energy"], row["kinetic"])
-        return row
 
     def print_forecast(self, forecast: Forecast) -> None:
         """Print how long the run takes, and print it again if that changes."""

@@ -135,7 +135,7 @@ def made_elastic(sim):
 @pytest.mark.parametrize(
     ("change", "unknown"),
     [(removed, RATES), (added, RATES), (freed, RATES), (made_elastic, {"z_rate"})],
-    ids=lambda x: str(x)[:20],
+    ids=["removed", "added", "freed", "elastic"],
 )
 def test_an_interval_in_which_something_else_collided_has_no_rates(change, unknown, tmp_path):
     """They are known in the next one; a run that is continued meanwhile tells the same."""

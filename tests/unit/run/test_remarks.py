@@ -65,18 +65,30 @@ def test_what_is_at_rest_is_not_judged_by_round_off(tmp_path):
 
 
 def test_a_run_that_is_continued_judges_the_energy_of_all_of_it(tmp_path):
-    """All of what the energy loses is lost before the run is stopped."""
+    """All of what the energy loses is lost before the run is stopped; the last part is in another folder."""
     (tmp_path / "s.toml").write_text(
         "dimension = 2\nG = 1.0\n[time]\nstep = 0.1\nsteps = 10\n[output]\nformats = []\n[[particles]]\nmass = 1.0\n"
         "position = [[0.0, 0.0], [1.0, 0.0]]\nvelocity = [[0.0, 0.3], [0.0, -0.3]]\n[effects.mutual_gravity]\n"
     )
     told = []
-    for steps in ("10", "12"):
-        command = [sys.executable, "-m", "particles_mpi", "run", "s.toml", "--output", "o", "--steps", steps, "--resume", "auto"]
+    for steps, folder, resume in (("10", "o", "auto"), ("12", "o", "auto"), ("14", "p", "o/checkpoint.h5")):
+        command = [
+            sys.executable,
+            "-m",
+            "particles_mpi",
+            "run",
+            "s.toml",
+            "--output",
+            folder,
+            "--steps",
+            steps,
+            "--resume",
+            resume,
+        ]
         subprocess.run(command, cwd=tmp_path, env=environment(), check=True, capture_output=True)
-        about = json.loads((tmp_path / "o" / "run.json").read_text())
+        about = json.loads((tmp_path / folder / "run.json").read_text())
         told.append([remark.split(" to ")[0] for remark in about["remarks"] if remark.startswith("total energy: changed from ")])
-    assert told[0] and told[1] == told[0]
+    assert told[0] and told[2] == told[1] == told[0]
 
 
 WIND = """from particles_mpi.effects import EffectOptions, Force
