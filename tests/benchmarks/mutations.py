@@ -365,7 +365,7 @@ MUTATIONS = (
     ),
     Mutation(
         "the energy of a run is compared with that of its start, wherever height is zero",
-        "run/ending.py",
+        "measure/energy_change.py",
         "max(self.kinetic, self.highest - self.lowest)",
         "max(self.kinetic, abs(self.first))",
         ("tests/unit/run/test_remarks.py",),
