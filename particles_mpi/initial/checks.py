@@ -126,7 +126,8 @@ def check_step(scene: Scene, particles: Particles, event: bool, faults: Faults) 
     radius, moving = particles.radius, speed > 0.0
     points = listed_ids(ranks, particles.id[moving & (radius == 0.0)])
     if points and not (event and scene.dimension == 1):
-        warnings.append(f"particles: {points} with radius 0: points collide with spheres, but never with one another")
+        line = ' (on a line they do in mode "event")' if scene.dimension == 1 else ""
+        warnings.append(f"particles: {points} with radius 0: points collide with spheres, but never with one another{line}")
     if not event:
         fast = moving & (radius > 0.0) & (speed * dt > 2.0 * radius)
         safe = ranks.least((2.0 * radius[fast] / speed[fast]).min(initial=inf))

@@ -76,7 +76,8 @@ class Columns:
         if own.dtype.kind in "iu":
             least, most = max(np.iinfo(own.dtype).min, -LARGEST_WHOLE), min(np.iinfo(own.dtype).max, LARGEST_WHOLE)
             whole = (values >= least) & (values <= most) & (values == np.rint(values))
-            self.refuse(share, name, ~whole, f"not a whole number of type {own.dtype} for")
+            limit = " up to 2^53 - 1" if most == LARGEST_WHOLE else ""
+            self.refuse(share, name, ~whole, f"not a whole number of type {own.dtype}{limit} for")
             values = np.where(whole, values, 0.0)
         largest = min(LARGEST_NUMBER, np.finfo(own.dtype).max) if own.dtype.kind == "f" else LARGEST_NUMBER
         beyond = np.abs(values) > largest

@@ -39,7 +39,7 @@ def check_overlaps(particles: Particles, room: Room, allowed: bool, before: int,
     if not pairs:
         return []
     verb, deepest = "overlap" if pairs.startswith("pairs") else "overlaps", ranks.largest(depth.max(initial=0.0))[0]
-    text = f"effects.collisions: {pairs} {verb} at the start (deepest by {deepest:.3g})"
+    text = f"effects.collisions: {pairs} {verb} (deepest by {deepest:.3g})"
     if not allowed:
         faults.add(f"{text}; move them, or set allow_overlap = true")
         return []

@@ -98,8 +98,7 @@ def coincident(scene: Scene, particles: Particles, ranks: Communicator) -> list[
         return []
     verb = "are" if text.startswith("pairs") else "is"
     return [
-        f"effects.mutual_gravity: {text} {verb} at the same place at the start:"
-        " no force acts between these two; move one, or set softening"
+        f"effects.mutual_gravity: {text} {verb} at the same place: no force acts between these two; move one, or set softening"
     ]
 
 

@@ -51,7 +51,7 @@ def test_ids_counts_and_states(runs, ranks):
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_what_cannot_be_is_refused_by_name(runs, ranks):
     said = runs[ranks][1]
-    assert "pair 7-58 overlaps" in said["overlap"] and said["overlap"].startswith("effects.collisions: ")
+    assert said["overlap"].startswith("effects.collisions: pair 7-58 overlaps (deepest by ")  # not "at the start"
     assert said["outside"].startswith("box: particle 58 outside")
     assert said["key"].startswith("particles[2].radios: unknown key")
     assert said["unknown"] == "remove: not found: particle 99"

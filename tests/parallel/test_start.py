@@ -20,7 +20,7 @@ SAID = {
     "a file with a number that is none": "nan.csv: lines 72, 73, 74, 75, 76 and 2 more: a number is not finite",
     "an empty file": "empty.csv holds no rows",
     "no file": "none.csv cannot be read (No such file",
-    "overlaps": "effects.collisions: pairs 0-97, 1-98 and 2-99 overlap at the start",
+    "overlaps": "effects.collisions: pairs 0-97, 1-98 and 2-99 overlap (deepest by ",
     "outside": "box: particles 51, 52, 53, 54, 55 and 4 more outside",
     "in walls": "effects.walls.planes[0]: particle 0 not fully on the free side of the wall at (0, 0)",
     "too fast": "time.step: particles ",
@@ -32,7 +32,7 @@ SAID = {
 }
 WARNED = {
     "pushed apart": "; pushed apart",
-    "at one place": "pairs 0-1, 2-3, 4-5, 6-7, 8-9 and 5 more are at the same place at the start",
+    "at one place": "pairs 0-1, 2-3, 4-5, 6-7, 8-9 and 5 more are at the same place: ",
     "endless falls": "user_acceleration: not zero for particle 17 along periodic axis 0",
 }
 

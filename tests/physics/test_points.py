@@ -55,6 +55,15 @@ def test_points_that_may_stick_together_are_told_of(restitution, radius, count, 
         assert sim.particles.velocity.ravel() == pytest.approx([-1.0 / 3.0] * 3, abs=1e-12)
 
 
+@pytest.mark.parametrize(("d", "mode", "told"), [(1, "rewind", "on a line they do"), (2, "event", ""), (1, "event", None)])
+def test_points_that_meet_no_others_are_told_of(d, mode, told):
+    row = {"position": [[0.0] * d, [1.0] * d], "velocity": [1.0] * d}
+    sim = Simulation(Scene(dimension=d, time={"step": 0.1, "steps": 1}, effects={"collisions": {"mode": mode}}, particles=[row]))
+    said = [line for line in sim.warnings if "never with one another" in line]
+    assert len(said) == (told is not None) and all(("on a line" in line) == bool(told) for line in said)
+    assert all(told in line for line in said)
+
+
 @pytest.mark.parametrize("at_once", [True, False])
 @pytest.mark.parametrize("count", [2, 3, 20])
 def test_points_on_a_line_stay_in_their_order(count, at_once):
