@@ -200,6 +200,14 @@ def collect_garbage() -> None:
     gc.enable()
 
 
+def plain_help() -> None:
+    """The help has no colours and no bold letters, unless a terminal shows it to a user who has not switched colours off."""
+    from particles_mpi.run.console import watched
+
+    if os.environ.get("NO_COLOR") or not watched():
+        os.environ["TTY_COMPATIBLE"] = "0"  # rich asks for this; for mpirun the output of a rank may be a terminal
+
+
 def is_broken_pipe(error: BaseException) -> bool:
     """Is it that what is printed is no longer read, as behind `| head`? Not on several ranks: mpirun reads it there."""
     return isinstance(error, BrokenPipeError) or isinstance(error.__context__, BrokenPipeError)
@@ -219,8 +227,10 @@ def main() -> None:
     try:
         same_on_all(Communicator(), {"arguments": words(sys.argv[1:])})
         command = typer.main.get_command(app)  # not `app()`, which loses what an interruption says
-        printed_by_root = not IS_ROOT and ("--help" in sys.argv or sys.argv[1:] in ([], ["study"]))
-        aside = redirect_stdout(StringIO()) if printed_by_root else nullcontext()
+        helps = "--help" in sys.argv or sys.argv[1:] in ([], ["study"])
+        if helps:
+            plain_help()
+        aside = redirect_stdout(StringIO()) if helps and not IS_ROOT else nullcontext()
         with aside, command.make_context("particles-mpi", sys.argv[1:]) as context:
             command.invoke(context)
     except typer.Exit as error:

@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Callable
 from math import isfinite
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -66,9 +67,18 @@ def watched() -> bool:
         return False
 
 
-def announce_compiling(dimension: int) -> None:
-    """Print a line, once, if this process has to compile a kernel from now on; set-up compiles those up to dimension 3."""
+def announce_compiling(scene: Any) -> None:
+    """Print a line, once, if this process has to compile a kernel from now on.
+
+    Set-up compiles those of the program up to dimension 3: only those of a user's effects are left.
+    """
     from numba.core import event
+
+    files = ", ".join(Path(options.file).name for options in scene.outside.values())
+    what = f"kernels of {files}" if files else "kernels"
+    told = f"{what} are compiled now, once"
+    if scene.dimension > 3:
+        told = f"dimension {scene.dimension}: kernels are compiled now, about {COMPILING_SECONDS} s, once"
 
     class CompilingNotice(event.Listener):
         warned = False
@@ -76,7 +86,7 @@ def announce_compiling(dimension: int) -> None:
         def on_start(self, _: Any) -> None:
             if not self.warned:
                 self.warned = True
-                print(f"dimension {dimension}: kernels are compiled now, about {COMPILING_SECONDS} s, once", flush=True)
+                print(told, flush=True)
 
         def on_end(self, _: Any) -> None:
             pass
@@ -106,9 +116,15 @@ class Screen:
         )
         self.progress: Progress | None = None
 
-    def say(self, line: Any = "", head: str = "") -> None:
-        """Print a line, behind a `head` in bold, if there is one. Brackets in them are text, and no markup."""
-        self.console.print(Text(head, "bold") + Text(line) if isinstance(line, str) else line)
+    def say(self, line: Any = "", head: str = "", whole: bool = False) -> None:
+        """Print a line, behind a `head` in bold, if there is one. Brackets in them are text, and no markup.
+
+        A terminal shows it folded between words, unless it is `whole`: so is what may be copied, a path or a command.
+        """
+        if not isinstance(line, str):
+            self.console.print(line)
+            return
+        self.console.print(Text.assemble((head, "bold"), line), soft_wrap=whole or not self.console.is_terminal)
 
     def table(self, table: Table) -> None:
         """Print a table; in its full width, whatever the terminal's is, if that is a table of numbers, which may not be cut."""
@@ -171,9 +187,20 @@ class Screen:
         return update
 
     def count(self, what: str, number: int) -> Callable[[str], None]:
-        """Begin a progress bar for a `number` of tasks; returns a function to be called with the name of each as it begins."""
-        bar = self._progress(what, number, -1)
-        return lambda name: bar.update(bar.tasks[0].id, advance=1, state=name)
+        """Begin to show the progress of a `number` of tasks; returns a function to be called with the name of each as it begins.
+
+        It is shown as in `start`.
+        """
+        bar, began, due = self._progress(what, number, -1), perf_counter(), LOG_AFTER
+
+        def begin(name: str) -> None:
+            nonlocal due
+            bar.update(bar.tasks[0].id, advance=1, state=name)
+            if bar.disable and self.loud and (passed := perf_counter() - began) > due:
+                due = LOG_RARER * passed
+                self.say(f"{name}: {bar.tasks[0].completed:.0f} of {number} done in {passed:.0f} s")
+
+        return begin
 
     def _progress(self, what: str, total: int, done: int) -> Progress:
         """A progress bar, which is shown only on a terminal."""

@@ -58,16 +58,16 @@ def report_end(
     if sim.output_record.written["frame"] < 0:  # there is nothing to be seen
         return
     if formats:
-        say(f"ParaView: paraview {quote(str(folder / 'view_paraview.py'))}")
+        say(f"ParaView: paraview {quote(str(folder / 'view_paraview.py'))}", whole=True)
     if "vtk" in formats:
         from particles_mpi.output.vtk import suffix
 
-        say(f"VisIt: {folder}/vtk/particles_*.{suffix(sim.ids)} database")
+        say(f"VisIt: {folder}/vtk/particles_*.{suffix(sim.ids)} database", whole=True)
     if "hdf5" in formats:
-        say(f"view: {PROGRAM} view {shown}")
+        say(f"view: {PROGRAM} view {shown}", whole=True)
         if (plots := PROJECT / "python_viz").is_dir():
             python, script = as_typed(Path(sys.executable)), as_typed(plots / "plot_frame.py")
-            say(f"plots: {python} {script} {shown}   (and plot_diagnostics.py, plot_phases.py, animate.py)")
+            say(f"plots: {python} {script} {shown}   (and plot_diagnostics.py, plot_phases.py, animate.py)", whole=True)
 
 
 def phase_seconds(sim: Any, seconds: dict[str, float], phases: dict[str, float]) -> dict[str, dict[str, float]]:

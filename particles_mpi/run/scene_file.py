@@ -28,5 +28,5 @@ def load(path: Path, quiet: bool = True) -> Any:
         described = Scene.load(path)
     same_on_all(ranks, described.to_dict())
     if ranks.is_root and not quiet:
-        announce_compiling(described.dimension)
+        announce_compiling(described)
     return described

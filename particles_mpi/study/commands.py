@@ -44,6 +44,8 @@ def accuracy(
 ) -> None:
     """Measure what accuracy costs: error against seconds and work, for a scene or for the built-in problems.
 
+    A scene takes about two minutes.
+
     A orbits, B close encounters, C hard-sphere fluid, D tree, F softening, G drag and friction, H effects on and off,
     I lasting contacts, J rough spheres.
 

@@ -61,4 +61,4 @@ def study_accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) ->
             timing = {"samples": benchmark.samples, "least_seconds": benchmark.sample_seconds, "seconds": seconds}
             path = report.write_report(folder, title, found, report.describe_machine(ranks) | timing)
             screen.table(report.tenfold_table(found))
-            screen.say(f"{seconds:.0f} s; the whole report, with pictures: {path}   (CSV: {folder}/*.csv)")
+            screen.say(f"{seconds:.0f} s; the whole report, with pictures: {path}   (CSV: {folder}/*.csv)", whole=True)

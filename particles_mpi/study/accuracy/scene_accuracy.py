@@ -22,24 +22,34 @@ MEANING = {
 
 def experiments(benchmark: Benchmark, scene: Scene) -> list[Experiment]:
     """Measure the settings of the scene, and its effects switched off in turn. Collective; few bodies on rank 0 alone."""
-    return Start(benchmark, scene).on_few(lambda start: [settings(start), effects(start)]) or []
+    try:
+        return Start(benchmark, scene).on_few(lambda start: [settings(start), effects(start)]) or []
+    finally:
+        benchmark.screen.stop()
 
 
 def settings(start: Start) -> Experiment:
     """Find the errors of each integrator, mode or angle over a ladder of steps, in BUDGET_SECONDS; times take as long again."""
-    quick, metric = start.benchmark.quick, reference(start, BUDGET_SECONDS)
+    quick, screen = start.benchmark.quick, start.benchmark.screen
+    steps = [k * max(start.scene.steps, 4) for k in (STEP_FACTORS[1:4] if quick else STEP_FACTORS)]
+    tolerances = INVERSE_TOLERANCES[:: 2 if quick else 1]
+    tried = [(method, float(n)) for method in methods(start) for n in (tolerances if method.adaptive else steps)]
+    progress = screen.count("errors", 2 + len(tried))
+    progress("reference")
+    metric = reference(start, BUDGET_SECONDS)
     if not metric.limits:
         raise SceneError("particles: nothing in this scene has an error that could be measured")
     error, limit = next(iter(metric.limits.items()))  # the most telling
     search = Search(start, metric, {error: 1.0}, 2.0 * BUDGET_SECONDS / 3.0)
-    steps = [k * max(start.scene.steps, 4) for k in (STEP_FACTORS[1:4] if quick else STEP_FACTORS)]
+    progress("errors of the scene as it is")
     search.attempt(*as_it_is(start))
-    for method in methods(start):
-        for resolution in INVERSE_TOLERANCES[:: 2 if quick else 1] if method.adaptive else steps:
-            if search.left() < 0.0:
-                search.refused[method.name] = f"no further steps measured: the {BUDGET_SECONDS:.0f} s are used up"
-                break
+    for method, resolution in tried:
+        progress(f"errors of {method.name}")
+        if search.left() < 0.0:
+            search.refused[method.name] = f"no further steps measured: the {BUDGET_SECONDS:.0f} s are used up"
+        else:
             search.attempt(method, resolution, search.left())
+    screen.stop()
     rows = time_trials(start, [trial for trial in search.trials if not any(map(isnan, trial.errors.values()))])
     answers = [f"reference: {metric.reference}; order seen: {metric.order:.2f}"] if not isnan(metric.order) else []
     if metric.part < 1.0:

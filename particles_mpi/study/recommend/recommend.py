@@ -182,7 +182,7 @@ def recommend_scene(
     if found:
         report(benchmark.screen, found)
     benchmark.ranks.run_on_root(lambda: save(found, path, target) if found else None)
-    benchmark.screen.say(f"written: {target}")
+    benchmark.screen.say(f"written: {target}", whole=True)
     return found
 
 

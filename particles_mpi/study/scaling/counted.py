@@ -89,7 +89,7 @@ def count_scaling(described: Scene | None, folder: Path, quick: bool) -> None:
     files = {folder / name: rows for name, rows in tables.items() if rows}
     with failing_together(world, f"cannot write into {folder}"):
         world.run_on_root(lambda: [write_csv(path, rows) for path, rows in files.items()])
-    screen.say(f"written: {', '.join(map(str, files))}")
+    screen.say(f"written: {', '.join(map(str, files))}", whole=True)
 
 
 def title(scene: Scene) -> str:

@@ -218,4 +218,4 @@ def write(result: Result, folder: Path, screen: Screen) -> None:
     for path in (folder / "scaling.png", folder / "scaling.svg"):
         figure.savefig(path)
         files.append(path)
-    screen.say(f"written: {', '.join(map(str, files))}")
+    screen.say(f"written: {', '.join(map(str, files))}", whole=True)
