@@ -9,6 +9,8 @@ from run_files import BLUE, GREY, RED, stop
 
 from particles_mpi import Run
 
+OTHER = {"title", "time", "output"}  # parts of a scene in which the runs may differ, and keys of its collisions
+OTHER_COLLISIONS = {"mode", "passes"}
 SETTLED = 0.2  # of the run, which is left out: the start is not the gas that is measured
 
 
@@ -17,13 +19,24 @@ def mode_of(run: Run) -> str:
     return str(run.about.get("scene", {}).get("effects", {}).get("collisions", {}).get("mode", ""))
 
 
+def compared(run: Run) -> dict[str, Any]:
+    """Return the tables of the scene that all runs must share."""
+    scene = run.about["scene"]
+    collisions = {key: value for key, value in scene["effects"]["collisions"].items() if key not in OTHER_COLLISIONS}
+    tables = {name: table for name, table in scene.items() if name not in OTHER}
+    return tables | {"effects": scene["effects"] | {"collisions": collisions}}
+
+
 def measured(run: Run) -> dict[str, Any]:
-    """Return step, collisions per unit time with their standard error, share of missed ones, and seconds of the loop."""
+    """Return step, collisions per unit time with their standard error, share of missed ones, and seconds of the loop.
+
+    The seconds are nan if the run has not ended.
+    """
     rows, about = run.columns, run.about
     time = rows["time"]
-    kept = time >= time[0] + SETTLED * (time[-1] - time[0])
+    kept = time >= time[:1] + SETTLED * (time[-1:] - time[:1])
     kept[1:] &= kept[:-1]  # counts belong to the interval before their row
-    kept[0] = False
+    kept[:1] = False
     if not kept.any():
         enough = max(1, about["scene"]["time"]["steps"] // 10)
         stop(f"{run.folder}: has too few rows of diagnostics; [output] diagnostics_every = {enough} has ten")
@@ -35,13 +48,19 @@ def measured(run: Run) -> dict[str, Any]:
         "rate": rows["collisions"][kept].sum() / length.sum(),
         "error": rates.std() / np.sqrt(len(rates)),
         "missed": rows["missed"][kept].sum() / max(rows["collisions"][kept].sum(), 1),
-        "seconds": about["timers"]["loop"]["max"],
+        "seconds": about["timers"]["loop"]["max"] if "timers" in about else np.nan,
     }
 
 
 def report(reference: Run, runs: list[Run]) -> tuple[str, dict[str, Any], list[dict[str, Any]]]:
     """Return (table, reference, runs from the longest step to the shortest); lost = 1 - rate/rate_event, as for Z - 1."""
+    shared = compared(reference)
+    for run in runs:
+        if compared(run) != shared:
+            stop(f"{run.folder}: is of another scene than {reference.folder}: only time, output and the mode may differ")
     exact = measured(reference)
+    if not exact["rate"]:
+        stop(f"{reference.folder}: has no collisions in the last {1 - SETTLED:.0%} of its time: no run can lose any")
     found = sorted((measured(run) for run in runs), key=lambda row: -row["step"])
     names = ("step", "collisions/time", "missed of them", "lost against event", "order", "seconds")
     lines = ["{:>10} {:>16} {:>15} {:>19} {:>6} {:>8}  run".format(*names)]

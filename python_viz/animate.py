@@ -15,9 +15,11 @@ import numpy as np
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from picture import Picture, add_picture_options
 from PIL import Image
-from run_files import DEFAULT_RUN, new_parser, save_path, start, stop
+from run_files import DEFAULT_RUN, new_parser, save_path, start, stop, within
 
 from particles_mpi import Run
+
+FPS = 0.01, 1000.0  # least and most frames per second: a gif tells the milliseconds of a frame, and at most 655 350
 
 
 class GifWriter(PillowWriter):
@@ -35,13 +37,16 @@ def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     parser.add_argument("--every", type=int, default=1, metavar="K", help="take every K-th frame (default: 1)")
-    parser.add_argument("--fps", type=float, default=25, help="frames per second of the film (default: 25)")
+    parser.add_argument("--fps", type=within(*FPS), default=25, help="frames per second of the film (default: 25)")
     add_picture_options(parser)
     options = parser.parse_args()
-    if options.every < 1 or options.fps <= 0:
-        stop("--every and --fps must be positive")
+    if options.every < 1:
+        stop("--every must be positive")
     matplotlib.use("Agg")
     run = Run(options.run)
+    chosen = range(0, len(run), options.every)
+    if not chosen:
+        stop(f"{run.folder}: the run has no frame yet")
     path = save_path(options.save, options.run, "animation" + (".mp4" if FFMpegWriter.isAvailable() else ".gif"))
     writer: PillowWriter | FFMpegWriter
     if path.suffix == ".gif":
@@ -51,7 +56,6 @@ def main() -> None:
     else:
         stop(f"cannot write {path}: " + ("mp4 needs ffmpeg; save a .gif" if path.suffix == ".mp4" else "use .mp4 or .gif"))
 
-    chosen = range(0, len(run), options.every)
     picture = Picture(run, (run[k] for k in chosen), options.color, options.view, dpi)
     try:
         with writer.saving(picture.figure, path, dpi):

@@ -1,14 +1,15 @@
 """Compare two runs of the same scene, particle by particle: have they the same bits, and if not, how do they diverge?
 
-Frames are matched by their time. The first frame with any differing bit is printed with the particles and fields that differ;
-the picture shows the largest and the rms difference of position and velocity over time (across periodic faces, the short way).
+Frames are matched by their time; of several at one time, because `sim.time` was set, by their step. The first frame with any
+differing bit is printed with the particles and fields that differ; the picture shows the largest and the rms difference of
+position and velocity over time (across periodic faces, the short way).
 
 example:
     python python_viz/compare_runs.py out/ranks1 out/ranks4
 prints "same bits" (exit code 0) or the first difference (exit code 1) and draws out/ranks1/plots/compare_runs.png
 
 Runs of the same scene in mode rewind with several steps can be compared with one in mode event: by the collisions that they lose,
-and by the order in the step with which that number falls.
+and by the order in the step with which that number falls. Seconds are "nan" for a run that has not ended.
 
     python python_viz/compare_runs.py out/event out/dt0.1 out/dt0.05 out/dt0.025
 """
@@ -28,16 +29,25 @@ CURVES = {"position": BLUE, "velocity": RED}
 
 
 def matching(a: Run, b: Run) -> list[tuple[int, int]]:
-    """Return the pairs of frames at the same time (to 1e-9 of the duration, so that 0.1 + 0.2 meets 0.3)."""
-    close = 1e-9 * max(np.ptp(a.times), np.ptp(b.times))
-    nearest = [int(np.argmin(np.abs(b.times - time))) for time in a.times]
-    return [(i, j) for i, j in enumerate(nearest) if abs(b.times[j] - a.times[i]) <= close]
+    """Return the pairs of frames at the same time (to 1e-9 of the duration, so that 0.1 + 0.2 meets 0.3).
+
+    If the other run has several frames at that time, the one whose step is the nearest is taken.
+    """
+    frames_a, frames_b = a[:], b[:]
+    times, steps = np.array([frame.time for frame in frames_b]), np.array([frame.step for frame in frames_b])
+    close = 1e-9 * max(np.ptp([frame.time for frame in frames_a]), np.ptp(times))
+    pairs = []
+    for i, frame in enumerate(frames_a):
+        at_time = np.flatnonzero(np.abs(times - frame.time) <= close)
+        if len(at_time):
+            pairs.append((i, int(at_time[np.argmin(np.abs(steps[at_time] - frame.step))])))
+    return pairs
 
 
 def same_bits(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """For each row: equal to the last bit? NaN equals the same NaN; -0.0 differs from 0.0."""
+    """For each row: equal to the last bit, and of the same type? NaN equals the same NaN; -0.0 differs from 0.0."""
     if a.dtype != b.dtype or a.shape != b.shape or not a.size:
-        return np.full(len(a), a.shape == b.shape)
+        return np.full(len(a), a.dtype == b.dtype and a.shape == b.shape)
     a, b = (np.ascontiguousarray(x).view(np.uint8).reshape(len(x), -1) for x in (a, b))
     same: np.ndarray = (a == b).all(axis=1)
     return same
@@ -69,6 +79,15 @@ def describe(frame: Frame, differ: dict[str, np.ndarray]) -> str:
     fields = ", ".join(f"{name} of {len(rows)}" for name, rows in differ.items())
     shown = " ".join(map(str, ids[:12])) + (" ..." if len(ids) > 12 else "")
     return f"first difference: frame {frame.index}, t = {frame.time:.6g}: {fields} particles: ids {shown}"
+
+
+def refuse_other_dimensions(a: Run, b: Run) -> None:
+    """End the script if the runs have other dimensions, or only one of them tells its own."""
+    for run in (a, b):
+        if "scene" not in run.about and a.dimension != b.dimension:
+            stop(f"{run.folder}: has no run.json, which tells in how many dimensions it is")
+    if a.dimension != b.dimension:
+        stop(f"the runs are in {a.dimension} and in {b.dimension} dimensions")
 
 
 def draw(times: np.ndarray, curves: dict[str, np.ndarray], radius: float, title: str) -> Figure:
@@ -108,8 +127,7 @@ def main() -> None:
     b = others[0]
     if not len(a) or not len(b):
         stop("a run has no frame yet")
-    if a.dimension != b.dimension:
-        stop(f"the runs are in {a.dimension} and in {b.dimension} dimensions")
+    refuse_other_dimensions(a, b)
     pairs, period = matching(a, b), a.periodic_length
     if not pairs:
         stop("the two runs have no frame at the same time")

@@ -16,10 +16,12 @@ from particles_mpi.results.frame import Frame
 from particles_mpi.results.scenery import Scenery, in_space
 
 HEADING, LETTER = 13, 0.1  # size of the letters of the heading, and how wide one is, in inches; long titles have smaller ones
+LEAST_HEADING = 2.0  # size of letters that still can be drawn, with the fewest pixels per inch
 SMALLEST = 1.0  # pixels: smaller marbles are drawn with this radius, and the caption says so
 POINT, MANY_POINTS = 6.0, 1000  # pixels: the radius of a point; where there are more than so many, all cover as much as these
 LEAST_HIGH = 1.0  # inches of the room for a line
 MARGIN = 0.04  # of the extent of the marbles, around it, where the scene has no box
+FINEST = 1e-13  # of the largest coordinate: less of it around the marbles could not be told from round-off
 LEAST_RANGE = 1e-3  # of the largest value: what differs by less has one colour, and not those of its round-off
 HAZE = 0.4  # share of white in the colour of the furthest marbles
 WALLS, LINE = ("#f4f5f7", "#f8f9fa", "#e9ebef"), "#4a5260"
@@ -40,7 +42,7 @@ def color_of(name: str) -> tuple[Callable[[Frame], np.ndarray], str, str, float]
     def values(frame: Frame) -> np.ndarray:
         if name not in frame.fields:
             raise IndexError(f"--color {name}: frame {frame.index} has {', '.join(dict.fromkeys([*COLORS, *frame.fields]))}")
-        return np.linalg.norm(frame[name].reshape(len(frame), -1), axis=1) if frame[name].ndim > 1 else frame[name].astype(float)
+        return np.linalg.norm(frame[name], axis=1) if frame[name].ndim > 1 else frame[name].astype(float)
 
     return COLORS.get(name, (values, name, "plasma", 99.5))
 
@@ -88,7 +90,7 @@ class Picture:
         self.value, self.label, self.colormap, self.top = color_of(color)
         self.survey(frames)
         around = Scenery(scene, self.lower, self.upper)
-        margin = 0.0 if around.real else MARGIN * np.max(around.upper - around.lower)
+        margin = 0.0 if around.real else self.margin(around.lower, around.upper)
         self.lower, self.upper = around.lower - margin, around.upper + margin
         if self.planar:
             self.lower[2] = self.upper[2] = 0
@@ -97,6 +99,10 @@ class Picture:
         self.draw_box(around.real, around.periodic)
         for corners, normal in around.walls:
             self.draw_wall(corners, normal)
+
+    def margin(self, lower: np.ndarray, upper: np.ndarray) -> float:
+        """Return the room around this extent of the marbles."""
+        return max(MARGIN * np.max(upper - lower), FINEST * np.abs([lower, upper]).max())
 
     def survey(self, frames: Iterable[Frame]) -> None:
         """Find the range of values, the extent of space and the largest radius over the frames."""
@@ -225,7 +231,7 @@ class Picture:
         self.marbles.set_data(paint_spheres(center[seen], np.maximum(radius, least)[seen], depth[seen], frame.radius[seen],
                                             rgb[seen], frame.fixed[seen] != 0, width, height))  # fmt: skip
         heading = f"{self.title} · t = {frame.time:.6g} · frame {frame.index}"
-        self.heading.set(text=heading, fontsize=HEADING * min(1.0, self.letters / len(heading)))
+        self.heading.set(text=heading, fontsize=max(LEAST_HEADING, HEADING * min(1.0, self.letters / len(heading))))
         missing, fixed = len(seen) - int(seen.sum()), int(frame.fixed.sum())
         notes = [f"{spaced(len(seen))} marble" + "s" * (len(seen) != 1)]
         notes += ["true radii"] if points < len(seen) else []

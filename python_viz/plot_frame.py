@@ -12,9 +12,11 @@ draws the last frame into out/marbles/plots/frame_000005.png (if 5 is the last)
 from pathlib import Path
 
 from picture import Picture, add_picture_options
-from run_files import DEFAULT_RUN, dots, finish, new_parser, parse, save_path, start
+from run_files import DEFAULT_RUN, finish, new_parser, parse, save_path, start, within
 
 from particles_mpi import Run
+
+LEAST_DPI, MOST_DPI = 20, 2000  # with fewer no letter can be drawn, with more a picture may be too large for the memory
 
 
 def main() -> None:
@@ -22,7 +24,10 @@ def main() -> None:
     parser.add_argument("run", nargs="?", type=Path, default=DEFAULT_RUN, metavar="RUN_DIR", help=f"default: {DEFAULT_RUN}")
     parser.add_argument("--frame", type=int, default=-1, help="number of the frame; -1 is the last (default)")
     parser.add_argument(
-        "--dpi", type=dots, default=150, help="pixels per inch: half makes a picture half as large (default: 150)"
+        "--dpi",
+        type=within(LEAST_DPI, MOST_DPI),
+        default=150,
+        help="pixels per inch: half makes a picture half as large (default: 150)",
     )
     add_picture_options(parser)
     options = parse(parser)

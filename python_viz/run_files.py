@@ -50,11 +50,15 @@ def start(main: Callable[[], None]) -> None:
         stop(str(error))
 
 
-def dots(text: str) -> int:
-    """Return pixels per inch, for a parser, within the limits of a picture."""
-    number = int(text)
-    if not 1 <= number <= 2000:
-        raise argparse.ArgumentTypeError(f"{text} is not from 1 to 2000")
+def within(low: float, high: float) -> Callable[[str], float]:
+    """Return a function, for a parser, that reads a number within limits."""
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text} is not from {low:g} to {high:g}")
+        return value
+
     return number
 
 

@@ -39,7 +39,8 @@ class Scenery:
             flags = flags if isinstance(flags, list) else [flags] * len(box["lower"])
             self.periodic[: len(flags)] = flags[:3]
         elif not np.any(upper > lower):  # a single point, or no particle at all
-            lower, upper = np.full(3, -1.0), np.ones(3)
+            middle = np.where(np.isfinite(lower), lower, 0.0)
+            lower, upper = middle - 1.0, middle + 1.0
         self.lower, self.upper = lower, upper
         options = (scene.get("effects") or {}).get("walls") or {}
         given = (options.get("planes") or []) if options.get("active", True) else []  # what is switched off is not there

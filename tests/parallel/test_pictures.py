@@ -1,8 +1,10 @@
 """Every script of python_viz draws a run, and a film has all of its frames."""
 
 import json
+import shutil
 import sys
 
+import h5py
 import numpy as np
 import pytest
 from conftest import ROOT, run_ranks
@@ -48,9 +50,33 @@ def test_what_is_wrong_is_one_line(run, tmp_path):
     for words, told in (([run, "--frame", 9], "no frame 9: the run has frames 0 to 4"), ([tmp_path], "holds no run")):
         done = run_ranks(1, ROOT / "python_viz/plot_frame.py", *words)
         assert done.returncode == 2 and told in done.stderr and done.stderr.count("\n") == 1
-    for words, told in ((["--dpi", "0"], "0 is not from 1 to 2000"), (["--view", "nan", "3"], "nan is not finite")):
+    for words, told in ((["--dpi", "19"], "19 is not from 20 to 2000"), (["--view", "nan", "3"], "nan is not finite")):
         done = run_ranks(1, ROOT / "python_viz/plot_frame.py", run, *words)
         assert done.returncode == 2 and told in done.stderr and "Traceback" not in done.stderr
+
+
+def test_numbers_that_cannot_be_drawn_are_refused(run):
+    words = [("plot_paths", "--span", text) for text in ("-1", "2", "nan")]
+    for script, option, text in (*words, ("animate", "--fps", "nan"), ("animate", "--fps", "1e-9")):
+        done = run_ranks(1, ROOT / f"python_viz/{script}.py", run, option, text)
+        assert done.returncode == 2 and f"{option}: {text} is not from 0.01 to 1" in done.stderr
+
+
+def test_the_smallest_picture_has_a_heading_however_long(run, tmp_path):
+    table = json.loads((run / "run.json").read_text())
+    table["scene"]["title"] = "t" * 3000
+    shutil.copytree(run, tmp_path / "long")
+    (tmp_path / "long" / "run.json").write_text(json.dumps(table))
+    done = run_ranks(1, ROOT / "python_viz/plot_frame.py", tmp_path / "long", "--dpi", 20)
+    assert done.returncode == 0, done.stderr
+
+
+def test_there_is_no_film_of_a_run_without_frames(run, tmp_path):
+    shutil.copytree(run, tmp_path / "begun")
+    with h5py.File(tmp_path / "begun" / "trajectory.vtkhdf", "r+") as file:
+        file["VTKHDF/Steps"].attrs["NSteps"] = 0
+    done = run_ranks(1, ROOT / "python_viz/animate.py", tmp_path / "begun")
+    assert done.returncode == 2 and done.stderr == f"animate.py: {tmp_path / 'begun'}: the run has no frame yet\n"
 
 
 def test_only_runs_of_one_scene_show_strong_scaling(run, tmp_path):

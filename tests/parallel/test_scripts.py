@@ -171,6 +171,32 @@ def test_colours_tell_any_field(tmp_path):
         picture.Picture(run, run[:], "charge", (-60, 20), 50)
 
 
+def test_the_last_particles_have_gone(tmp_path):
+    """A frame without particles is drawn, whatever the colour is to tell."""
+    sim = Simulation(Scene(dimension=2, time={"step": 0.1, "steps": 4}, particles=[{"position": [[0, 0]], "radius": 0.1}]))
+    sim.run(tmp_path, steps=2)
+    sim.remove([0])
+    sim.run(tmp_path)
+    run, picture = Run(tmp_path), viz("picture")
+    for color in ("velocity", "speed"):
+        drawn = picture.Picture(run, run[-1:], color, (-60, 20), 50)
+        drawn.draw(run[-1])
+        picture.plt.close(drawn.figure)
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.0])
+@pytest.mark.parametrize("d", [1, 2, 3])
+@pytest.mark.parametrize("place", [5.0, 1e15, -1e30])
+def test_a_lonely_particle_far_away_is_in_the_picture(tmp_path, place, d, radius):
+    particles = [{"position": [[place] * d], "radius": radius}]
+    Simulation(Scene(dimension=d, time={"step": 0.1, "steps": 1}, particles=particles)).run(tmp_path)
+    run, picture = Run(tmp_path), viz("picture")
+    drawn = picture.Picture(run, run[-1:], "speed", (-60, 20), 50)
+    drawn.draw(run[-1])
+    picture.plt.close(drawn.figure)
+    assert drawn.marbles.get_array()[..., 3].any() and "not in the picture" not in drawn.caption.get_text()
+
+
 def test_rewind_against_event(tmp_path):
     event = gas(tmp_path, "event", 0.2, mode="event")
     coarse, fine = (gas(tmp_path, f"r{step}", step, mode="rewind", passes=1) for step in (0.1, 0.02))
@@ -184,13 +210,60 @@ def test_rewind_against_event(tmp_path):
     assert (event / "plots" / "compare_runs.png").stat().st_size > 10_000
 
 
+def copied(run, folder, ended=True, **collisions):
+    """A copy of a run that tells of other collisions, or has not ended."""
+    shutil.copytree(run, folder)
+    about = json.loads((run / "run.json").read_text())
+    about["scene"]["effects"]["collisions"].update(collisions)
+    if not ended:
+        del about["timers"]
+    (folder / "run.json").write_text(json.dumps(about))
+    return folder
+
+
+def few_discs(folder, number=2, speed=1.0):
+    """A run in mode event of discs that meet one another again and again, between walls."""
+    discs = {"position": [[1.0 + k, 1.0] for k in range(number)], "velocity": [[speed * (k + 1), 0.0] for k in range(number)]}
+    scene = Scene(
+        dimension=2,
+        box={"lower": [0, 0], "upper": [4, 2]},
+        time={"step": 0.2, "steps": 100},
+        particles=[discs | {"radius": 0.3}],
+        effects={"collisions": {"mode": "event"}, "walls": {}},
+        output={"formats": [], "diagnostics_every": 10},
+    )
+    Simulation(scene).run(folder)
+    return folder
+
+
+def test_runs_that_go_on_are_compared_with_event(tmp_path):
+    """Their seconds are not known yet; a run that has no row of diagnostics yet is named."""
+    event = few_discs(tmp_path / "event")
+    begun, rewind = copied(event, tmp_path / "begun", ended=False), copied(event, tmp_path / "rewind", ended=False, mode="rewind")
+    for reference in (event, begun):
+        done = script("compare_runs.py", reference, rewind)
+        assert done.returncode == 0 and not done.stderr, done.stderr
+        assert re.search(r"^ +0\.2 .* nan  .*rewind$", done.stdout, re.M), done.stdout
+    table = rewind / "diagnostics.csv"
+    table.write_text(table.read_text().partition("\n")[0] + "\n")
+    done = script("compare_runs.py", event, rewind)
+    assert done.returncode == 2 and f"{rewind}: has too few rows of diagnostics" in done.stderr
+
+
+def test_only_runs_of_one_scene_with_collisions_are_compared_with_event(tmp_path):
+    event, other = few_discs(tmp_path / "event"), few_discs(tmp_path / "other", number=3)
+    done = script("compare_runs.py", event, copied(other, tmp_path / "rewind", mode="rewind", passes=2))
+    assert done.returncode == 2 and "rewind: is of another scene than" in done.stderr and done.stderr.count("\n") == 1
+    still = few_discs(tmp_path / "still", speed=0.0)
+    done = script("compare_runs.py", still, copied(still, tmp_path / "still_rewind", mode="rewind", passes=2))
+    assert done.returncode == 2 and "still: has no collisions in the last 80% of its time" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
 def test_rewind_that_loses_nothing_against_event(tmp_path):
     """There is no logarithm of nothing: no warning, and a picture with a point."""
-    event, same = gas(tmp_path, "event", 0.2, mode="event"), tmp_path / "same"
-    shutil.copytree(event, same)
-    about = json.loads((same / "run.json").read_text())
-    about["scene"]["effects"]["collisions"]["mode"] = "rewind"
-    (same / "run.json").write_text(json.dumps(about))
+    event = gas(tmp_path, "event", 0.2, mode="event")
+    same = copied(event, tmp_path / "same", mode="rewind")
     done = script("compare_runs.py", event, same)
     assert done.returncode == 0 and not done.stderr, done.stderr
     (row,) = (line.split() for line in done.stdout.splitlines() if re.match(r" +0\.2 ", line))
@@ -203,7 +276,8 @@ def test_runs_with_too_few_rows_are_named(tmp_path):
     tables = {"dimension": 2, "time": {"step": 0.1, "steps": 2}, "particles": [{"position": [[0.0, 0.0]], "radius": 0.1}]}
     scene = Scene.from_dict(tables | {"effects": {"collisions": {"mode": "event"}}, "output": {"diagnostics_every": 2}})
     Simulation(scene).run(few)
-    done = script("compare_runs.py", few, gas(tmp_path, "rewind", 0.1, mode="rewind"))
+    rewind = copied(few, tmp_path / "rewind", mode="rewind")
+    done = script("compare_runs.py", few, rewind)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and f"{few}: has too few rows of diagnostics" in done.stderr
 
 
@@ -214,3 +288,46 @@ def test_runs_of_other_dimensions_cannot_be_compared(tmp_path):
         Simulation(Scene(dimension=d, time={"step": 0.1, "steps": 1}, particles=[{"position": [[0.0] * d]}])).run(folders[-1])
     done = script("compare_runs.py", *folders)
     assert done.returncode == 2 and done.stderr == "compare_runs.py: the runs are in 2 and in 3 dimensions\n"
+
+
+def test_numbers_of_other_types_are_not_the_same_bits():
+    same_bits, ones = viz("compare_runs").same_bits, np.ones(3, np.float32)
+    assert same_bits(ones, ones.copy()).all() and not same_bits(ones, np.full(3, 7)).any()
+    assert same_bits(ones[:, None][:, :0], ones[:, None][:, :0]).all()
+
+
+@pytest.fixture(scope="module", params=[0.0, 1000.0])
+def with_time_set(request, tmp_path_factory):
+    """A run without collisions that goes over periodic faces; half way the user sets the time back, or forward."""
+    folder = tmp_path_factory.mktemp("set")
+    pair = {"position": [[1, 1], [2, 2]], "velocity": [[0.5, 0.3], [0.0, 0.4]], "radius": 0.2}
+    box, time = {"lower": [0, 0], "upper": [4, 4], "periodic": True}, {"step": 0.1, "steps": 40}
+    sim = Simulation(Scene(dimension=2, box=box, time=time, particles=[pair], output={"every": 5, "formats": ["hdf5"]}))
+    sim.run(folder, steps=20)
+    sim.time = request.param
+    sim.run(folder)
+    return folder
+
+
+def test_a_run_in_which_the_time_was_set_is_like_itself(with_time_set):
+    done = script("compare_runs.py", with_time_set, with_time_set)
+    assert done.returncode == 0 and "\nsame bits\n" in done.stdout, done.stdout + done.stderr
+
+
+def test_paths_of_a_run_in_which_the_time_was_set_are_straight(with_time_set):
+    frames = Run(with_time_set)[:]
+    _, places = viz("plot_paths").paths_of(frames, True, np.full(2, 4.0))
+    elapsed = np.array([0.1 * frame.step for frame in frames])[:, None]
+    np.testing.assert_allclose(places[:, 0], [1, 1] + elapsed * [0.5, 0.3], atol=1e-9)
+
+
+def test_a_run_without_its_scene_has_no_known_dimension(tmp_path):
+    flat, bare = tmp_path / "flat", tmp_path / "bare"
+    Simulation(Scene(dimension=2, time={"step": 0.1, "steps": 1}, particles=[{"position": [[0.0, 0.0]]}])).run(flat)
+    shutil.copytree(flat, bare)
+    (bare / "run.json").unlink()
+    for runs in ((flat, bare), (bare, flat)):
+        done = script("compare_runs.py", *runs)
+        told = f"compare_runs.py: {bare}: has no run.json, which tells in how many dimensions it is\n"
+        assert done.returncode == 2 and done.stderr == told
+    assert script("compare_runs.py", bare, bare).returncode == 0

@@ -174,6 +174,11 @@ def test_the_section_of_a_cube_through_its_middle_is_a_regular_hexagon():
         assert not len(section(np.where(normal > 0, 0.0, 1.0), normal, np.zeros(3), np.ones(3)))
 
 
+def test_around_a_single_point_there_is_room():
+    around = Scenery({}, np.array([5.0, 1.0, 0.0]), np.array([5.0, 1.0, 0.0]))
+    assert around.lower.tolist() == [4.0, 0.0, -1.0] and around.upper.tolist() == [6.0, 2.0, 1.0]
+
+
 def test_a_plane_in_two_dimensions_is_a_line():
     scene = {"box": {"lower": [0, 0], "upper": [2, 1]}, "effects": {"walls": {"planes": [{"point": [1, 0.5], "normal": [0, 2]}]}}}
     ((corners, _),) = Scenery(scene, np.zeros(3), np.ones(3)).walls
