@@ -136,7 +136,10 @@ class Run:
         """diagnostics.csv by column, (rows,) each. A last row that is still being written is left out."""
         path = self.folder / "diagnostics.csv"
         try:
-            header, *rows = csv.reader(path.read_text().rpartition("\n")[0].splitlines())
+            lines = path.read_text().rpartition("\n")[0].splitlines()
+            if not lines:
+                raise ValueError("it has no whole line")
+            header, *rows = csv.reader(lines)
             if header[:2] != ["step", "time"]:
                 raise ValueError("its columns do not begin with step,time")
             return {name: _numbers(np.array([row[k] for row in rows])) for k, name in enumerate(header)}

@@ -60,5 +60,8 @@ def study_accuracy(scene: Scene | None, keys: str, quick: bool, folder: Path) ->
         if ranks.is_root:
             timing = {"samples": benchmark.samples, "least_seconds": benchmark.sample_seconds, "seconds": seconds}
             path = report.write_report(folder, title, found, report.describe_machine(ranks) | timing)
-            screen.table(report.tenfold_table(found))
+            if (costs := report.tenfold_table(found)).row_count:
+                screen.table(costs)
+            else:
+                screen.say(f"{report.TENFOLD} is not known: along no curve do the errors fall far enough")
             screen.say(f"{seconds:.0f} s; the whole report, with pictures: {path}   (CSV: {folder}/*.csv)", whole=True)

@@ -168,6 +168,10 @@ def test_what_is_not_there_is_one_clear_line(tmp_path):
     (folder / "diagnostics.csv").write_text("not a\ntable of\ndiagnostics\n")
     with pytest.raises(SceneError, match=r"diagnostics\.csv: cannot be read: its columns do not begin with step,time"):
         _ = run.columns
+    for text in ("", "step,time,par"):
+        (folder / "diagnostics.csv").write_text(text)
+        with pytest.raises(SceneError, match=r"diagnostics\.csv: cannot be read: it has no whole line"):
+            _ = run.columns
     with pytest.raises(IndexError, match="no frame -5: the run has frames 0 to 3"):
         sim, folder = drifting(2, tmp_path)
         sim.run(folder, overwrite=True)

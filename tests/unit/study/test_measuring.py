@@ -7,9 +7,11 @@ from math import isnan
 
 import pytest
 
+from particles_mpi import Scene
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.run.console import Screen
 from particles_mpi.study import plots, report
+from particles_mpi.study.accuracy import command
 from particles_mpi.study.experiment import Benchmark, Experiment, Row, Setting, observe_orders, slope
 from particles_mpi.study.timing import Seconds, StepTimer, time_in_turns
 
@@ -87,6 +89,16 @@ def test_orders_slopes_and_front(found):
 def test_what_ten_times_more_costs(found):
     assert report.tenfold(found, "second") == pytest.approx(10**0.5)
     assert report.tenfold(found, "fourth") == pytest.approx(10**0.25)
+
+
+def test_what_is_not_known_has_no_table(monkeypatch, tmp_path, capsys):
+    """All settings of a scene may have the same error."""
+    rows = rows_of("second", [1e-15] * 3, [1.0, 2.0, 4.0])
+    flat = Experiment("S", "flat", "step", {"place": "how far off", "calls": "of others"}, "exact", rows)
+    monkeypatch.setattr(command.scene_accuracy, "experiments", lambda *_: [flat])
+    command.study_accuracy(Scene(dimension=1, time={"step": 1.0, "steps": 1}, particles=[]), "", True, tmp_path)
+    assert f"{report.TENFOLD} is not known: along no curve" in capsys.readouterr().out
+    assert report.TENFOLD.capitalize() not in (tmp_path / "report.html").read_text()
 
 
 def test_tables(found, tmp_path):
