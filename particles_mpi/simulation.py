@@ -10,7 +10,7 @@ from particles_mpi.errors import SceneError, whole_number
 from particles_mpi.initial.populate import populate
 from particles_mpi.integrators.length_search import LengthSearch
 from particles_mpi.kernels.validity import WATCH_EVERY
-from particles_mpi.measure.diagnostics import energies_and_momenta, observe
+from particles_mpi.measure.diagnostics import Since, energies_and_momenta, observe
 from particles_mpi.parallel.agreement import raising_together, require_finite, same_on_all
 from particles_mpi.parallel.communicator import Communicator
 from particles_mpi.particles import Particles
@@ -184,9 +184,8 @@ class Simulation(Saved):
             if self.scene.output.observables:
                 collisions = self.ranks.total(self.totals["collisions"])[0]
                 volume = float(np.prod(self.upper - self.lower)) if self.scene.box else np.nan
-                since, pairs = self.output_record.observed["row" if row else "call"], self.active.pairs
-                elastic = pairs is None or not pairs.lossy
-                measured |= observe(self.ranks, p, volume, self.time, collisions, since, elastic)
+                now, since = Since(self.time, self.steps_done, collisions), self.output_record.observed["row" if row else "call"]
+                measured |= observe(self.ranks, p, volume, now, since, self.active.elastic)
         require_finite(self.ranks, p, measured["kinetic"], f"step {self.steps_done}")
         return measured
 

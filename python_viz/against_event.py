@@ -10,7 +10,7 @@ from run_files import BLUE, GREY, RED, stop
 from particles_mpi import Run
 
 OTHER = {"title", "time", "output"}  # parts of a scene in which the runs may differ, and keys of its collisions
-OTHER_COLLISIONS = {"mode", "passes"}
+OTHER_COLLISIONS = {"mode", "passes", "contact_duration"}
 SETTLED = 0.2  # of the run, which is left out: the start is not the gas that is measured
 
 
@@ -57,7 +57,8 @@ def report(reference: Run, runs: list[Run]) -> tuple[str, dict[str, Any], list[d
     shared = compared(reference)
     for run in runs:
         if compared(run) != shared:
-            stop(f"{run.folder}: is of another scene than {reference.folder}: only time, output and the mode may differ")
+            may = f"only {', '.join(sorted(OTHER))}, and {', '.join(sorted(OTHER_COLLISIONS))} of collisions may differ"
+            stop(f"{run.folder}: is of another scene than {reference.folder}: {may}")
     exact = measured(reference)
     if not exact["rate"]:
         stop(f"{reference.folder}: has no collisions in the last {1 - SETTLED:.0%} of its time: no run can lose any")

@@ -19,7 +19,7 @@ from run_files import DEFAULT_RUN, new_parser, save_path, start, stop, within
 
 from particles_mpi import Run
 
-FPS = 0.01, 1000.0  # least and most frames per second: a gif tells the milliseconds of a frame, and at most 655 350
+FPS = 0.01, 100.0  # least and most frames per second: a gif tells the hundredths of a second of a frame, and at most 65 535
 
 
 class GifWriter(PillowWriter):

@@ -1,10 +1,10 @@
 """Draw the paths of a few particles, or the positions of many at the last frame, seen along the last axis.
 
 There is one panel per run. Up to 30 particles are drawn as paths that end in a dot: between two frames a curve that fits the
-velocities at both ends, or a straight line if collisions or walls turn the particle, or `sim.time` was set; a path that leaves
-through a periodic face continues at the opposite face. More particles are drawn at their last positions, as spheres if they have
-radii, otherwise as points that are brighter where there are many. `--span` leaves out particles far from the middle. In one
-dimension all paths are drawn over time.
+velocities at both ends, or a straight line if collisions or walls turn the particle, or `sim.time` was set back; a path that
+leaves through a periodic face continues at the opposite face. More particles are drawn at their last positions, as spheres if
+they have radii, otherwise as points that are brighter where there are many. `--span` leaves out particles far from the middle. In
+one dimension all paths are drawn over time.
 
 example:
     python python_viz/plot_paths.py out/figure_eight out/solar_system --save gravity.png
@@ -20,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
+from picture import FINEST
 from run_files import PAINTS, finish, new_parser, parse, save_path, spaced, start, within
 from scipy.interpolate import CubicHermiteSpline
 
@@ -29,17 +30,9 @@ from particles_mpi.results.frame import Frame
 FEW = 30
 COLUMNS = 3
 MANY_POINTS = 4000  # points: more are drawn as small as can be
-UNSTEADY = 0.01  # of the length of a step: by more the time moves only if it was set
 TITLE = 40  # letters in a line of a title
 PIECES = 8  # of a curve between two frames
 PALER = 0.45  # times as strong are the colours when they are used again
-
-
-def steady(frames: list[Frame]) -> bool:
-    """Has the time moved by as much in each step? If not, the user has set it, and how long a particle went is not known."""
-    lasting, steps = (np.diff([getattr(frame, name) for frame in frames]) for name in ("time", "step"))
-    pace = lasting / np.maximum(steps, 1)
-    return len(pace) > 0 and bool(np.all(np.abs(pace - np.median(pace)) < UNSTEADY * np.median(pace)))
 
 
 def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +43,7 @@ def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0
     """
     ids = np.unique(np.concatenate([frame.id for frame in frames]))
     times = np.array([frame.time for frame in frames])
-    smooth = smooth and steady(frames)
+    smooth = smooth and len(times) > 1 and bool((np.diff(times) > 0.0).all())  # else `sim.time` was set back
     places = np.full((len(frames), len(ids), frames[0].position.shape[1]), np.nan)  # a gap where a particle was not there
     velocities = places.copy()
     for k, frame in enumerate(frames):
@@ -141,7 +134,8 @@ def plot(axes: Axes, run: Run, span: float, title: str) -> None:
             plot_points(axes, last.position[points])
         middle = np.median(last.position[:, :2], axis=0)
         away = np.abs(last.position[:, :2] - middle).max(axis=1) + last.radius
-        half = 1.05 * float(np.quantile(away, 1.0 if not points.all() else span)) or 1.0
+        half = 1.05 * float(np.quantile(away, 1.0 if not points.all() else span))
+        half = max(half, FINEST * np.abs(middle).max()) or 1.0
         axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     axes.grid(False)
     axes.spines[:].set_visible(True)

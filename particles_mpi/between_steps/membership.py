@@ -36,7 +36,7 @@ class Membership(State):
         self.warnings += warnings
         added = self.ranks.total(len(rows) - len(self.rows))[0]
         if added:
-            self.output_record.forget_rates(self.time)
+            self.output_record.mark_rates(self.steps_done, "mixed")
         self.rows.replace(rows.arrays)
         self.particles.close()
         self.next_id += added
@@ -58,9 +58,9 @@ class Membership(State):
         if "virial" in self.rows.arrays:  # from here on only collisions of the remaining particles count
             gone = exact_sums(self.ranks, [self.rows.virial[here]])[0]
             for since in self.output_record.observed.values():
-                since[2] -= gone
+                since.virial -= gone
         if len(named):
-            self.output_record.forget_rates(self.time)
+            self.output_record.mark_rates(self.steps_done, "mixed")
         self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
         self.particles.close()
         self.build()

@@ -1,6 +1,7 @@
 """A simulation as a whole: copied, compared, printed, saved and read back, with the same bits from there on."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,6 +13,7 @@ from particles_mpi.contacts.notes import ContactNotes
 from particles_mpi.contacts.warm_start import NOTHING, Memory
 from particles_mpi.errors import SceneError
 from particles_mpi.measure import snapshot
+from particles_mpi.measure.diagnostics import Since
 from particles_mpi.measure.energy_change import Energies
 from particles_mpi.output.checkpoint import Checkpoint
 from particles_mpi.output.files import identity_of
@@ -35,9 +37,14 @@ class Saved(Membership):
     def metadata(self) -> dict[str, Any]:
         """Return clock, counts over all ranks, and scene, as plain data: the state without particles and contacts. Collective."""
         self.take_changes()
-        totals = self.ranks.allreduce_sum(np.array([self.totals[name] for name in COUNTS])).tolist()
-        clock = {"step": self.steps_done, "moment": self.clock_start, "h": self._h, "observed": self.output_record.observed}
-        return {**clock, "totals": totals, "next_id": self.next_id, "additions": self.additions, "scene": self.scene.to_dict()}
+        observed = {reader: asdict(since) for reader, since in self.output_record.observed.items()}
+        mixed = [since["mixed"] for since in observed.values()]  # by the script of this rank
+        sums = self.ranks.allreduce_sum(np.array([*(self.totals[name] for name in COUNTS), *mixed])).tolist()
+        for since, number in zip(observed.values(), sums[len(COUNTS) :], strict=True):
+            since["mixed"] = number > 0
+        clock = {"step": self.steps_done, "moment": self.clock_start, "h": self._h, "observed": observed}
+        counted = {"totals": sums[: len(COUNTS)], "notes": asdict(self.drift.notes())}
+        return {**clock, **counted, "next_id": self.next_id, "additions": self.additions, "scene": self.scene.to_dict()}
 
     def lasting_contacts(self) -> Memory:
         """Return the impulses of the lasting contacts of this rank's particles."""
@@ -50,7 +57,8 @@ class Saved(Membership):
         sim.begin(scene, ranks, rows, metadata["next_id"])
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
         sim.clock_start = metadata["moment"][0], metadata["moment"][1]
-        sim.output_record.observed = {reader: [*since, 0.0, 0.0][:5] for reader, since in metadata["observed"].items()}
+        sim.output_record.observed = {reader: Since.read(since) for reader, since in metadata["observed"].items()}
+        sim.drift.past_notes = ContactNotes(**metadata.get("notes", {}))  # earlier versions kept none
         if sim.persistent:
             sim.persistent.history.restore(contacts)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
@@ -69,7 +77,7 @@ class Saved(Membership):
         with raising_together(ranks):
             file = Checkpoint(Path(path))
             saved = file.attributes
-            metadata = {name: json.loads(str(saved[name])) for name in snapshot.METADATA}
+            metadata = {name: json.loads(str(saved[name])) for name in snapshot.METADATA if name in saved}
             for name, place in (files or {}).items():
                 if name in metadata["scene"]["effects"]:
                     metadata["scene"]["effects"][name]["file"] = place
@@ -98,7 +106,6 @@ class Saved(Membership):
             self.ranks.reductions += counts["reductions"]
             self.drift.past_work = {name: counts.get(name, 0) for name in WORK}
         self.calls.update({name: self.calls.get(name, 0) + calls for name, calls in past["calls"].items()})
-        self.drift.past_notes = ContactNotes(**past.get("notes", {}))  # earlier versions kept none
         self.output_record.energies = Energies(**past.get("energies", {}))
 
     def copy(self) -> Self:

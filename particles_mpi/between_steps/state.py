@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from math import nan
 from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
@@ -18,6 +17,7 @@ from particles_mpi.initial.checks import value_limits
 from particles_mpi.integrators.kicks_and_drifts import Accelerations, Kick, integrator_of
 from particles_mpi.integrators.many_steps import ManySteps
 from particles_mpi.kernels.validity import find_invalid
+from particles_mpi.measure.diagnostics import Since
 from particles_mpi.measure.energy_change import Energies
 from particles_mpi.measure.watchdog import Watchdog
 from particles_mpi.parallel.agreement import describe_unexpected, same_on_all
@@ -42,16 +42,15 @@ class OutputRecord:
     def __init__(self) -> None:
         self.reported = [0] * len(COUNTS)  # at the last row of diagnostics
         self.written: dict[str, int] = {}  # the steps of the last row and frame
-        # `since` of `measure.diagnostics.observe` for the last row with observables, and for the last call of `measure`
-        self.observed = {"row": [0.0] * 5, "call": [0.0] * 5}
-        self.energies = Energies()  # of the rows so far
+        self.observed = {"row": Since(), "call": Since()}  # the last row with observables, and the last call of `measure`
+        self.energies = Energies()  # of the rows of the run so far; of a script, of its last call of `run`
         self.saved: tuple[Path, int, Any] | None = None  # folder, step and `identity_of` its last checkpoint
 
-    def forget_rates(self, time: float) -> None:
-        """Particles were added or removed at this time: what was counted before it is of other particles."""
+    def mark_rates(self, step: int, mark: str) -> None:
+        """Remember a change after this step, `mixed` or `lossy`, that concerns rates of what was counted before it."""
         for since in self.observed.values():
-            if time != since[0]:
-                since[1] = since[2] = nan
+            if step != since.step:
+                setattr(since, mark, True)
 
 
 class State:
@@ -76,6 +75,7 @@ class State:
     persistent: Any = None
     drift: Any = None
     accelerations: Any = None
+    active: Any = None
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Raise AttributeError for a name without a meaning here, such as `dt`: otherwise such a mistake would go unnoticed.
@@ -112,7 +112,7 @@ class State:
     def build(self) -> None:
         """Make everything that depends on the effects of the scene and on which particles there are. Collective."""
         p, scene, ranks = self.rows, self.scene, self.ranks
-        old_drift, old_accelerations = self.drift, self.accelerations
+        old_drift, old_accelerations, had = self.drift, self.accelerations, self.active
         p.version, p.edition = p.version + 1, p.edition + 1  # nothing that was known of the rows holds any longer
         self.ids = id_range(ranks, p.id)
         self.total = self.ids.total
@@ -133,6 +133,8 @@ class State:
         self.drift = Drift(p, self.context, effects, self.persistent, self.sum_forces)
         if old_drift:
             self.drift.continue_counts(old_drift)
+            if had.elastic != effects.elastic:
+                self.output_record.mark_rates(self.steps_done, "lossy")
         self.totals, self.calls = self.drift.totals, self.drift.calls
         self.near = self.drift.near
         done = old_accelerations.interactions if old_accelerations else 0
@@ -192,6 +194,8 @@ class State:
     def check_values(self, values: dict[str, Array]) -> None:
         """Raise StateError for values that no particle can have; it names the lowest id that was given one."""
         p = self.rows
+        if "fixed" in values:
+            self.output_record.mark_rates(self.steps_done, "mixed")
         for name, allowed in value_limits(self.scene, p, values, self.h).items():
             wrong = np.flatnonzero(~allowed)
             if len(wrong):
@@ -223,7 +227,7 @@ class State:
         if not (is_number(value) and np.isfinite(value)):
             raise ValueError(f"time: {value!r} is not a finite number")
         for since in self.output_record.observed.values():
-            since[0] += value - self.time
+            since.time += value - self.time
         if "contacted" in self.rows.arrays:  # times of the last contacts, by the same clock
             self.take_changes()
             self.rows.change({"contacted": self.rows["contacted"] + (value - self.time)})

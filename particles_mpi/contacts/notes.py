@@ -1,7 +1,6 @@
 """What may be wrong with the contacts of a run, counted over all ranks and all parts of the run, and the lines that say so."""
 
 from dataclasses import dataclass, field
-from math import inf
 
 NAMED = 64  # contacts without loss that are kept for the remark about them
 COUNTED = "dense_steps", "crowded_steps", "late", "found", "too_fast", "lossless"
@@ -23,14 +22,14 @@ class ContactNotes:
     found: int = 0
     too_fast: int = 0
     lossless: int = 0
-    moment: float = inf
+    moment: float = 0.0
     first: list[list[float]] = field(default_factory=list)
 
     def __add__(self, later: "ContactNotes") -> "ContactNotes":
         """Return the notes of two parts of a run, or of two operators."""
         counts = {name: getattr(self, name) + getattr(later, name) for name in COUNTED}
-        earliest = self if self.moment <= later.moment else later
-        return ContactNotes(**counts, moment=earliest.moment, first=earliest.first)
+        earlier = self if self.lossless else later
+        return ContactNotes(**counts, moment=earlier.moment, first=earlier.first)
 
     def remarks(self) -> list[str]:
         """Return the remarks for the end of the run, one line each."""

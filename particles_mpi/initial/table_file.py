@@ -151,7 +151,8 @@ def columns_of(given: tuple[str, ...], quantity: str, dimension: int) -> list[in
     """Numbers of the columns that a header with these names gives to a quantity, or what is wrong with it."""
     names = names_of(quantity, dimension)
     named = [name for name in given if name in (*chain.from_iterable(NAMES.values()), "radius", "mass")]
-    if dimension > 3 and (wrong := [name for name in given[3:dimension] if name in named] if given[:3] == names else named):
+    known = {name for column in FIELDS for name in names_of(column, dimension)}
+    if dimension > 3 and (wrong := [name for name in given[3 * (given[:3] == names) : dimension] if name in known]):
         return f"its header has {', '.join(wrong)}; in dimension {dimension} columns are taken in order: leave it out"
     if not given or dimension > 3:
         return list(range(dimension))

@@ -6,16 +6,17 @@ Observables of a gas of spheres: D axes, N movable particles, T in units of ener
 - moment_ratio: <v^4>/<v^2>^2 of v - V; Maxwell-Boltzmann gives (1 + 2/D) n/(n + 2), n = D (N - 1)
 - packing: volume of all spheres over that of the box
 - collision_rate: Gamma = 2 C/(N t), collisions of a particle in unit time; free_time 1/Gamma, free_path <|v - V|>/Gamma; these
-  and the following are nan where some are or were fixed, for a collision with these is not of two particles, and where
-  particles were added or removed meanwhile
+  and the following are nan where some are fixed, for a collision with these is not of two particles, and where
+  particles were added, removed, fixed or freed in that time
 - z_virial: p V/(N T) = 1 + sum(-r.dp)/(D N T t) over the collisions, r from partner to partner, dp the momentum it gives; T is
   that of the end of the interval
 - z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for equal elastic spheres of diameter sigma and mass m; nan for others
   (Enskog; M. P. Allen and D. J. Tildesley, Computer Simulation of Liquids, 1987, for both)
 """
 
+from dataclasses import dataclass, replace
 from functools import cache
-from math import gamma, isnan, nan, pi, sqrt
+from math import gamma, nan, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -108,14 +109,32 @@ def column_names(dimension: int, observables: bool, gravity: bool, spins: bool) 
     return [*row, *(OBSERVABLES if observables else ())]
 
 
-def observe(
-    ranks: Communicator, p: Particles, volume: float, time: float, collisions: int, since: list[float], elastic: bool
-) -> dict[str, float]:
-    """Return the observables. Rates are for the time since `since`, which is updated. Collective.
+@dataclass
+class Since:
+    """The moment since which rates are, and what was counted until then; `step`: how many steps were done.
 
-    `since` = [time, collisions, virial, particles that were fixed, and whether collisions took energy, at that time].
-    `collisions`: of all ranks since the start; `volume`: of the box, nan without one; `elastic`: do all collisions keep the
-    energy? What is not defined is nan.
+    `mixed`: were particles added, removed, fixed or freed after steps since then? That of one rank may be fixed by its script.
+    `lossy`: was it changed, after steps since then, whether collisions take energy?
+    """
+
+    time: float = 0.0
+    step: int = 0
+    collisions: int = 0
+    virial: float = 0.0
+    mixed: bool = False
+    lossy: bool = False
+
+    @classmethod
+    def read(cls, saved: Any) -> "Since":
+        """Return what was saved as a dict; earlier versions saved a list of time, collisions and virial."""
+        return cls(**saved) if isinstance(saved, dict) else cls(saved[0], 0, int(saved[1]), saved[2])
+
+
+def observe(ranks: Communicator, p: Particles, volume: float, now: Since, since: Since, elastic: bool) -> dict[str, float]:
+    """Return the observables. Rates are for the time since `since`, which becomes `now`. Collective.
+
+    `now`: time, step, and collisions of all ranks since the start; `volume`: of the box, nan without one; `elastic`: do all
+    collisions keep the energy? What is not defined is nan.
     """
     d, movable = p.dimension, p.fixed == 0
     sums = exact_sums_by_name(ranks, len(p), lambda rows: numbers_and_momentum(part_of(p, rows)))
@@ -123,12 +142,12 @@ def observe(
     whole = np.array([sums[name] for name in vector_names("momentum", d)]) / mass if mass > 0.0 else np.zeros(d)
     moments = exact_sums_by_name(ranks, len(p), lambda rows: moments_of_velocity(part_of(p, rows), whole))
     heat, second, fourth, speed = moments.values()
-    largest, minus_smallest, heaviest, minus_lightest = ranks.largest(
-        *(part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable]))
+    largest, minus_smallest, heaviest, minus_lightest, mixed = ranks.largest(
+        *(part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable])), float(since.mixed)
     )
-    lasted, happened, given = time - since[0], collisions - since[1], given_so_far - since[2]
-    fixed_then, lossy_then = since[3:]
-    since[:] = time, float(collisions), given_so_far, float(fixed), float(not elastic)
+    lasted, happened, given = now.time - since.time, now.collisions - since.collisions, given_so_far - since.virial
+    elastic = elastic and not since.lossy
+    vars(since).update(vars(replace(now, virial=given_so_far)))
     row: dict[str, Any] = dict.fromkeys(OBSERVABLES, nan)
     row["packing"] = sums["balls"] * pi ** (d / 2) / gamma(d / 2 + 1) / volume
     if count < 2 or not heat > 0.0:
@@ -136,14 +155,14 @@ def observe(
     temperature = row["temperature"] = heat / (d * (count - 1.0))
     if fourth > 0.0:  # else it is below the range of numbers
         row["moment_ratio"] = fourth / second * count / second
-    if not lasted > 0.0 or fixed or fixed_then or isnan(happened):
+    if not lasted > 0.0 or fixed or mixed:
         return row
     rate = row["collision_rate"] = 2.0 * happened / (count * lasted)
     if (pressed := d * count * temperature * lasted) > 0.0:
         row["z_virial"] = 1.0 + given / pressed
     if rate > 0.0:
         row["free_time"], row["free_path"] = 1.0 / rate, speed / count / rate
-    if elastic and not lossy_then and largest == -minus_smallest and heaviest == -minus_lightest:
+    if elastic and largest == -minus_smallest and heaviest == -minus_lightest:
         row["z_rate"] = 1.0 + 2.0 * largest * rate * sqrt(pi * heaviest / temperature) / (2.0 * d)
     return row
 

@@ -9,6 +9,7 @@ from shlex import quote
 from typing import Any
 
 from particles_mpi.contacts.drift import COUNTS
+from particles_mpi.measure.energy_change import Energies
 from particles_mpi.output.files import write_text
 from particles_mpi.parallel.communicator import mpi_library
 from particles_mpi.run.console import PHASES, Screen
@@ -35,15 +36,15 @@ LIBRARIES = ("numpy", "numba", "mpi4py", "h5py", "meshio", "particles-mpi")
 
 def report_end(
     sim: Any, plan: dict[str, Any], folder: Path, screen: Screen, seconds: dict[str, float], phases: dict[str, float],
-    first: int, ended: bool,
+    first: int, energies: Energies, ended: bool,
 ) -> None:  # fmt: skip
     """Print the phase table and the remarks of a run, and write `run.json` into its folder. Collective.
 
     `ended`: was its last step done, or was the run stopped? `seconds`: of this rank for the set-up and for the loop, which began
-    with the step `first`; `phases`: for those of the loop.
+    with the step `first`; `phases`: for those of the loop. `energies`: of the rows of diagnostics.
     """
     timers, counts = phase_seconds(sim, seconds, phases), run_counts(sim)
-    remarks = sim.remarks() + sim.output_record.energies.remarks(sim.active)
+    remarks = sim.remarks() + energies.remarks(sim.active)
     screen.phases(timers, sim.steps_done - first, sim.total)
     say = screen.say
     if windows := counts.get("windows"):

@@ -2,7 +2,7 @@
 
 import json
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ class RunFiles:
         about = scene_and_folder(sim.scene) | {"plan": plan | {"not_run": [{"effect": name} for name in plan["not_run"]]}}
         self.continues, self.lock = run_folder.claim(folder, self.ranks, about, resumed, overwrite, own)
         self.record = sim.output_record
+        self.energies = self.record.energies  # with those of an extra row
         if not self.continues:
             self.record.written = {"row": -1, "frame": -1}
         shows_fixed = self.record.written.setdefault("fixed", int(plan["fixed"] > 0))
@@ -96,7 +97,7 @@ class RunFiles:
         An `extra` row at the end of a run is ignored by the next row, and is removed when the run goes on.
         """
         sim, record = self.sim, self.record
-        before = record.reported, record.observed["row"].copy(), record.written["row"]
+        before = record.reported, replace(record.observed["row"]), record.written["row"]
         with sim.timers("diagnostics"):
             state = sim.measure(row=True)
             totals = self.ranks.total(*(sim.totals[name] for name in COUNTS))
@@ -106,10 +107,13 @@ class RunFiles:
             row["imbalance"] = most * self.ranks.size / sim.total if sim.total else 1.0
             record.reported = list(totals)
             self.diagnostics.write(row)
-            record.energies.add(row["total_energy"], row["kinetic"])
             record.written["row"] = sim.steps_done
+        self.energies = replace(record.energies)
+        self.energies.add(row["total_energy"], row["kinetic"])
         if extra:
             record.reported, record.observed["row"], record.written["row"] = before
+        else:
+            record.energies = self.energies
         collisions, wall_hits, missed, *_ = totals
         return {**row, "hits_so_far": collisions + wall_hits, "missed_so_far": missed}
 
@@ -140,8 +144,7 @@ class RunFiles:
             for writer in (*self.frames, self.diagnostics):
                 writer.wait_for_disk()
             metadata = sim.metadata()
-            past = {"counts": run_counts(sim), "calls": sim.calls, "notes": asdict(sim.drift.notes())}
-            past["energies"] = asdict(self.record.energies)
+            past = {"counts": run_counts(sim), "calls": sim.calls, "energies": asdict(self.record.energies)}
             kept = metadata | {"reported": self.record.reported, "written": self.record.written, "past": past}
             state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
             state["effect_files"] = json.dumps(sim.scene.digests())

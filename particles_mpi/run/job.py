@@ -54,6 +54,8 @@ class Job:
         sim.take_changes()
         self.plan = plan(self.scene, sim.rows, self.ranks, self.last)
         self.request = StopRequest(self.ranks, self.setup_began, wall_time)  # from here on a signal must not leave half a file
+        if not self.scene_file:  # a script may have changed the state since the rows of an earlier job
+            sim.output_record.energies = Energies()
         try:
             self.files = RunFiles(sim, folder, self.plan, resumed=self.resumed, own=own, overwrite=overwrite)
         except BaseException:
@@ -74,7 +76,7 @@ class Job:
                 return
             seconds = {"setup": setup, "loop": perf_counter() - begin}
             phases = {name: total - before.get(name, 0.0) for name, total in sim.timers.seconds.items()}
-            report_end(sim, self.plan, self.folder, self.screen, seconds, phases, begun_with, not stopped)
+            report_end(sim, self.plan, self.folder, self.screen, seconds, phases, begun_with, self.files.energies, not stopped)
         except (SceneError, StoppedError) as error:
             await_all(self.ranks, error)  # to close a file would wait for ranks that have no error
             self.files.give_up()
@@ -101,8 +103,6 @@ class Job:
         pace = Forecaster(sim, self.last) if self.screen.loud or (self.rehearsal and self.ranks.is_root) else None
         shown = sim.steps_done
         show = self.screen.start(shown, self.last)
-        if not self.scene_file:  # a script may have changed the state since the rows of an earlier job
-            sim.output_record.energies = Energies()
         if not self.resumed:
             row = files.write_row()
             if pace:

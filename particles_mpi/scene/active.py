@@ -92,6 +92,11 @@ class ActiveEffects:
         return depends and self.integrator == "leapfrog" and bool(self.pairs or self.walls)
 
     @property
+    def elastic(self) -> bool:
+        """Do collisions of particles keep the energy?"""
+        return self.pairs is None or not self.pairs.lossy
+
+    @property
     def lossy(self) -> bool:
         """Do contacts take energy? Particles can then crowd together, and have many contacts in a step."""
         return any(contact.lossy for contact in (self.pairs, self.walls) if contact is not None)

@@ -74,4 +74,4 @@ def wrong_value(key: str, value: Any, kind: Any, components: int) -> list[str]:
         TypeAdapter(kind).validate_python(value)
     except ValidationError as error:
         return [f"{key}: {error.errors()[0]['ctx']['error']}"]
-    return wrong_length(key, value, components) if components else []
+    return wrong_length(key, value, components) if components and value != [] else []

@@ -429,7 +429,9 @@ def test_what_would_be_ignored_is_refused(tmp_path):
     with pytest.raises(SceneError, match='"taylor" needs a method `rate` of the effect slow; use "leapfrog"'):
         scene({"slow": magnetic | {"file": str(tmp_path / "slow.py")}}, time={"integrator": "taylor"})
     for wrong in (1.5, [0.5], [2**53], [2**53 + 1], 1e30, {"min": 0.5, "max": 0.6}, {"min": 1e30, "max": 1e31}):
-        with pytest.raises(SceneError, match=r"crossings: not a whole number of type int64 up to 2\^53 - 1 for particle 0"):
+        with pytest.raises(
+            SceneError, match=r"particles\[0\]\.crossings: not a whole number of type int64 up to 2\^53 - 1 for particle 0"
+        ):
             Simulation(scene({"gate": {"file": "gate.py", "place": 0.0}}, particle={"crossings": wrong}))
     with pytest.raises(SceneError, match=r"effects\.drag\.file: drag is a built-in effect"):
         scene({"drag": {"file": "magnetic.py"}})

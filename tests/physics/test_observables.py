@@ -116,41 +116,65 @@ def test_pressure_after_some_were_removed():
 RATES = {"collision_rate", "free_time", "free_path", "z_virial", "z_rate"}
 
 
-def removed(sim):
+def remove_half(sim):
     sim.remove(np.arange(0, 300, 2))
 
 
-def added(sim):
-    sim.add({"position": "random", "count": 100, "radius": 0.1})
+def add_some(sim):
+    sim.add({"position": "random", "count": 100, "radius": 0.5, "mass": 3.0})
 
 
-def freed(sim):
-    sim.particles.fixed[:] = False
+def fix_some(sim, fixed=True):
+    sim.particles.fixed[sim.particles.id < 30] = fixed
+    sim.take_changes()
 
 
-def made_elastic(sim):
+def fix_and_free(sim):
+    fix_some(sim)
+    sim.steps(2)
+    fix_some(sim, False)
+
+
+def make_elastic(sim):
     sim.effects["collisions"].restitution = 1.0
 
 
-@pytest.mark.parametrize(
-    ("change", "unknown"),
-    [(removed, RATES), (added, RATES), (freed, RATES), (made_elastic, {"z_rate"})],
-    ids=["removed", "added", "freed", "elastic"],
-)
-def test_an_interval_in_which_something_else_collided_has_no_rates(change, unknown, tmp_path):
-    """They are known in the next one; a run that is continued meanwhile tells the same."""
-    sim = Simulation(fluid(0.3, 0.05, 300, mode="event", restitution=0.9 if change is made_elastic else 1.0))
-    sim.particles.fixed[:30] = change is freed
-    sim.measure()
+CHANGES = {
+    "removed": (remove_half, None, RATES),
+    "added": (add_some, None, RATES),
+    "fixed and freed": (fix_and_free, None, RATES),
+    "freed": (lambda sim: fix_some(sim, False), fix_some, RATES),
+    "elastic": (make_elastic, None, {"z_rate"}),
+}
+
+
+def unknown(sim):
+    return {name for name, value in sim.measure().items() if np.isnan(value)}
+
+
+@pytest.mark.parametrize("look", [False, True])
+@pytest.mark.parametrize("name", CHANGES)
+def test_an_interval_in_which_something_else_collided_has_no_rates(name, look, tmp_path):
+    """They are known in the next one, as they are if the change was at a `look`; a copy, and what was saved, tell the same."""
+    change, before, told = CHANGES[name]
+    sim = Simulation(fluid(0.2, 0.05, 300, mode="event", restitution=0.9 if name == "elastic" else 1.0))
+    if before:
+        before(sim)
     sim.steps(10)
-    change(sim)
+    if look:
+        sim.measure()
+        sim.time = 1.3
+    if look and name == "fixed and freed":
+        fix_some(sim), fix_some(sim, False)
+    else:
+        change(sim)
     sim.run(tmp_path, steps=sim.steps_done)
-    for one in (sim.copy(), Simulation.resume(tmp_path / "checkpoint.h5")):
+    sim.to_json(tmp_path / "s.json")
+    for one in (sim.copy(), Simulation.from_json(tmp_path / "s.json"), Simulation.resume(tmp_path / "checkpoint.h5")):
         one.steps(10)
-        assert {name for name, value in one.measure().items() if np.isnan(value)} == unknown
+        assert unknown(one) == (set() if look else told)
         one.steps(10)
-        after = {name for name, value in one.measure().items() if np.isnan(value)}
-        assert after == ({"z_rate"} if change is added else set())  # of two radii
+        assert unknown(one) == set()
 
 
 @pytest.mark.parametrize("d", [2, 3])

@@ -197,7 +197,9 @@ class EventDriven:
     def notes(self) -> ContactNotes:
         """Return what may be wrong with the contacts so far. Collective."""
         found = [ElasticContacts(*of_rank) for of_rank in self.ranks.allgather(tuple(self.tc_elastic))]
+        crowds, number = int(self.crowded_steps), sum(of_rank.number for of_rank in found)
+        if not number:
+            return ContactNotes(crowded_steps=crowds)
         moment = min(of_rank.moment for of_rank in found)
         first = sorted(list(map(float, row)) for of_rank in found if of_rank.moment == moment for row in of_rank.first)
-        number = sum(of_rank.number for of_rank in found)
-        return ContactNotes(crowded_steps=int(self.crowded_steps), lossless=number, moment=moment, first=first[:NAMED])
+        return ContactNotes(crowded_steps=crowds, lossless=number, moment=moment, first=first[:NAMED])

@@ -234,7 +234,7 @@ def test_columns_beyond_three_axes_are_taken_in_order(tmp_path):
         ("x,y,z,w", ""),
         ("a,b,c,d", ""),
         ("y,x,z,w", "its header has y, x, z; in dimension 4"),
-        ("x,y,z,mass", "its header has mass; in dimension 4"),
+        *((f"x,y,z,{name}", f"its header has {name}; in dimension 4") for name in ("mass", "fixed", "spin_x", "vx")),
     ):
         (tmp_path / "a.csv").write_text(f"{header}\n1,2,3,4\n")
         if says:
@@ -257,6 +257,8 @@ def test_lists_without_an_entry_are_no_particles(dimension):
         sim = Simulation(scene(one, dimension=dimension, box=None))
         assert len(sim.add({"position": np.zeros((0, dimension)), **values})) == 0 and sim.total == 1
     assert "position: 0 entries, but count = 2" in faults({"count": 2, "position": []}, dimension=dimension, box=None)
+    rough = {"effects": {"walls": {"friction": 0.3}}, "dimension": 3, "box": {"lower": [0.0] * 3, "upper": [1.0] * 3}}
+    assert len(start({"position": [], "spin": []}, **rough)[0]) == 0
     for name in ("velocity", "mass"):
         assert f"{name}: 0 entries, but position has 1" in faults(one | {name: []}, dimension=dimension, box=None)
 
