@@ -194,8 +194,6 @@ class State:
     def check_values(self, values: dict[str, Array]) -> None:
         """Raise StateError for values that no particle can have; it names the lowest id that was given one."""
         p = self.rows
-        if "fixed" in values:
-            self.output_record.mark_rates(self.steps_done, "mixed")
         for name, allowed in value_limits(self.scene, p, values, self.h).items():
             wrong = np.flatnonzero(~allowed)
             if len(wrong):
@@ -209,6 +207,8 @@ class State:
             _, row, wall = find_invalid((0,) * p.dimension, values["position"], p.velocity, fixed, planes, nowhere, nowhere)
             if row >= 0:
                 raise StateError(f"particles.position: particle {p.id[row]} on rank {self.ranks.rank} was put beyond wall {wall}")
+        if "fixed" in values:
+            self.output_record.mark_rates(self.steps_done, "mixed")
 
     @property
     def particles(self) -> ParticleView:

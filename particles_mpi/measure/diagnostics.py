@@ -113,7 +113,7 @@ def column_names(dimension: int, observables: bool, gravity: bool, spins: bool) 
 class Since:
     """The moment since which rates are, and what was counted until then; `step`: how many steps were done.
 
-    `mixed`: were particles added, removed, fixed or freed after steps since then? That of one rank may be fixed by its script.
+    `mixed`: were particles added, removed, fixed or freed after steps since then? A rank knows only which of its own were.
     `lossy`: was it changed, after steps since then, whether collisions take energy?
     """
 
