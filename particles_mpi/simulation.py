@@ -19,6 +19,8 @@ from particles_mpi.run.files import without_large_vtk
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import Scene
 
+RUN_OPTIONS = "overwrite", "resumed", "steps", "wall_time"  # of `run`
+
 
 class Simulation(Saved):
     """A scene in motion on the ranks of a communicator: `sim.step()` advances it by `sim.h`, `sim.run()` to the end of the scene.
@@ -149,6 +151,8 @@ class Simulation(Saved):
         `steps` is the number of the last step; after `wall_time` seconds the run writes a checkpoint and stops.
         """
         if output is not None:
+            if unknown := options.keys() - RUN_OPTIONS:
+                raise TypeError(f"run: {', '.join(sorted(unknown))}: not one of its options, {', '.join(RUN_OPTIONS)}")
             Job(self, Path(output), quiet=quiet, **options).run()
         elif options:
             raise TypeError(f"run: {', '.join(options)}: only with a folder for output")
@@ -206,5 +210,8 @@ class Simulation(Saved):
         return {"forces": forces, "interactions": interactions, "pair_tests": pair_tests, "events": events}
 
     def remarks(self) -> list[str]:
-        """Return what happened that a user should know, one line for each remark. Collective."""
-        return self.drift.remarks()
+        """Return what happened that a user should know, one line for each remark. Collective.
+
+        Of the energy it tells only after a `run` into a folder, whose rows of diagnostics have it.
+        """
+        return self.drift.remarks() + self.output_record.energy_remarks

@@ -38,12 +38,13 @@ class Saved(Membership):
         """Return clock, counts over all ranks, and scene, as plain data: the state without particles and contacts. Collective."""
         self.take_changes()
         observed = {reader: asdict(since) for reader, since in self.output_record.observed.items()}
-        mixed = [since["mixed"] for since in observed.values()]  # by the script of this rank
-        sums = self.ranks.allreduce_sum(np.array([*(self.totals[name] for name in COUNTS), *mixed])).tolist()
-        for since, number in zip(observed.values(), sums[len(COUNTS) :], strict=True):
-            since["mixed"] = number > 0
+        marks = [since[mark] for since in observed.values() for mark in ("mixed", "changed")]  # by the script of this rank
+        sums = self.ranks.allreduce_sum(np.array([*(self.totals[name] for name in COUNTS), *marks])).tolist()
+        of_all = iter(sums[len(COUNTS) :])
+        for since in observed.values():
+            since.update(mixed=next(of_all) > 0, changed=next(of_all) > 0)
         clock = {"step": self.steps_done, "moment": self.clock_start, "h": self._h, "observed": observed}
-        counted = {"totals": sums[: len(COUNTS)], "notes": asdict(self.drift.notes())}
+        counted = {"totals": sums[: len(COUNTS)], "reported": self.output_record.reported, "notes": asdict(self.drift.notes())}
         return {**clock, **counted, "next_id": self.next_id, "additions": self.additions, "scene": self.scene.to_dict()}
 
     def lasting_contacts(self) -> Memory:
@@ -58,7 +59,8 @@ class Saved(Membership):
         sim.steps_done, sim._h, sim.additions = metadata["step"], metadata["h"], metadata["additions"]
         sim.clock_start = metadata["moment"][0], metadata["moment"][1]
         sim.output_record.observed = {reader: Since.read(since) for reader, since in metadata["observed"].items()}
-        sim.drift.past_notes = ContactNotes(**metadata.get("notes", {}))  # earlier versions kept none
+        sim.output_record.reported = metadata.get("reported", metadata["totals"])  # earlier versions kept none of either
+        sim.drift.past_notes = ContactNotes(**metadata.get("notes", {}))
         if sim.persistent:
             sim.persistent.history.restore(contacts)
         if ranks.is_root:  # counts are sums over ranks: one rank carries those from before
@@ -91,7 +93,7 @@ class Saved(Membership):
         with raising_together(ranks):
             sim = cls.restored(scene, ranks, rows, metadata, Memory(**contacts))
         record = sim.output_record
-        record.reported, record.written = json.loads(saved["reported"]), json.loads(saved["written"])
+        record.written = json.loads(saved["written"])
         if "past" in saved:
             sim.count_on(json.loads(saved["past"]))
         if Path(path).name == "checkpoint.h5":  # a run into that folder goes on there

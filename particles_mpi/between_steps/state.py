@@ -44,12 +44,13 @@ class OutputRecord:
         self.written: dict[str, int] = {}  # the steps of the last row and frame
         self.observed = {"row": Since(), "call": Since()}  # the last row with observables, and the last call of `measure`
         self.energies = Energies()  # of the rows of the run so far; of a script, of its last call of `run`
+        self.energy_remarks: list[str] = []  # of the last run into a folder
         self.saved: tuple[Path, int, Any] | None = None  # folder, step and `identity_of` its last checkpoint
 
-    def mark_rates(self, step: int, mark: str) -> None:
-        """Remember a change after this step, `mixed` or `lossy`, that concerns rates of what was counted before it."""
+    def mark_rates(self, step: int, time: float, mark: str) -> None:
+        """Remember a change after this step, at this time, `mixed` or `changed`, for rates of what was counted before it."""
         for since in self.observed.values():
-            if step != since.step:
+            if (step, time) != (since.step, since.time):  # `step_to_collision` may end within a step
                 setattr(since, mark, True)
 
 
@@ -134,7 +135,7 @@ class State:
         if old_drift:
             self.drift.continue_counts(old_drift)
             if had.elastic != effects.elastic:
-                self.output_record.mark_rates(self.steps_done, "lossy")
+                self.output_record.mark_rates(self.steps_done, self.time, "changed")
         self.totals, self.calls = self.drift.totals, self.drift.calls
         self.near = self.drift.near
         done = old_accelerations.interactions if old_accelerations else 0
@@ -208,7 +209,9 @@ class State:
             if row >= 0:
                 raise StateError(f"particles.position: particle {p.id[row]} on rank {self.ranks.rank} was put beyond wall {wall}")
         if "fixed" in values:
-            self.output_record.mark_rates(self.steps_done, "mixed")
+            self.output_record.mark_rates(self.steps_done, self.time, "mixed")
+        if "mass" in values or "radius" in values:
+            self.output_record.mark_rates(self.steps_done, self.time, "changed")
 
     @property
     def particles(self) -> ParticleView:
@@ -226,13 +229,14 @@ class State:
         same_on_all(self.ranks, {"time": value})
         if not (is_number(value) and np.isfinite(value)):
             raise ValueError(f"time: {value!r} is not a finite number")
+        value = float(value)  # not in the precision of what a script gives
         for since in self.output_record.observed.values():
-            since.time += value - self.time
+            since.time = value - (self.time - since.time)  # exactly `value` if it was now
         if "contacted" in self.rows.arrays:  # times of the last contacts, by the same clock
             self.take_changes()
             self.rows.change({"contacted": self.rows["contacted"] + (value - self.time)})
             self.particles.show()
-        self.clock_start = float(value), self.steps_done
+        self.clock_start = value, self.steps_done
         self.forget_contacts()
 
     @property

@@ -10,7 +10,7 @@ Observables of a gas of spheres: D axes, N movable particles, T in units of ener
   particles were added, removed, fixed or freed in that time
 - z_virial: p V/(N T) = 1 + sum(-r.dp)/(D N T t) over the collisions, r from partner to partner, dp the momentum it gives; T is
   that of the end of the interval
-- z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for equal elastic spheres of diameter sigma and mass m; nan for others
+- z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for spheres of diameter sigma and mass m that were equal and elastic all that time
   (Enskog; M. P. Allen and D. J. Tildesley, Computer Simulation of Liquids, 1987, for both)
 """
 
@@ -113,8 +113,8 @@ def column_names(dimension: int, observables: bool, gravity: bool, spins: bool) 
 class Since:
     """The moment since which rates are, and what was counted until then; `step`: how many steps were done.
 
-    `mixed`: were particles added, removed, fixed or freed after steps since then? A rank knows only which of its own were.
-    `lossy`: was it changed, after steps since then, whether collisions take energy?
+    `mixed`: were particles added, removed, fixed or freed after then? `changed`: were masses or radii, or whether collisions
+    take energy? A rank knows only what happened to its own particles.
     """
 
     time: float = 0.0
@@ -122,12 +122,14 @@ class Since:
     collisions: int = 0
     virial: float = 0.0
     mixed: bool = False
-    lossy: bool = False
+    changed: bool = False
 
     @classmethod
     def read(cls, saved: Any) -> "Since":
         """Return what was saved as a dict; earlier versions saved a list of time, collisions and virial."""
-        return cls(**saved) if isinstance(saved, dict) else cls(saved[0], 0, int(saved[1]), saved[2])
+        if not isinstance(saved, dict):
+            return cls(saved[0], 0, int(saved[1]), saved[2])
+        return cls(**{"changed" if name == "lossy" else name: value for name, value in saved.items()})
 
 
 def observe(ranks: Communicator, p: Particles, volume: float, now: Since, since: Since, elastic: bool) -> dict[str, float]:
@@ -142,11 +144,11 @@ def observe(ranks: Communicator, p: Particles, volume: float, now: Since, since:
     whole = np.array([sums[name] for name in vector_names("momentum", d)]) / mass if mass > 0.0 else np.zeros(d)
     moments = exact_sums_by_name(ranks, len(p), lambda rows: moments_of_velocity(part_of(p, rows), whole))
     heat, second, fourth, speed = moments.values()
-    largest, minus_smallest, heaviest, minus_lightest, mixed = ranks.largest(
-        *(part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable])), float(since.mixed)
+    extremes = (part.max(initial=-np.inf) for q in (p.radius, p.mass) for part in (q[movable], -q[movable]))
+    largest, minus_smallest, heaviest, minus_lightest, mixed, changed = ranks.largest(
+        *extremes, float(since.mixed), float(since.changed)
     )
     lasted, happened, given = now.time - since.time, now.collisions - since.collisions, given_so_far - since.virial
-    elastic = elastic and not since.lossy
     vars(since).update(vars(replace(now, virial=given_so_far)))
     row: dict[str, Any] = dict.fromkeys(OBSERVABLES, nan)
     row["packing"] = sums["balls"] * pi ** (d / 2) / gamma(d / 2 + 1) / volume
@@ -162,7 +164,7 @@ def observe(ranks: Communicator, p: Particles, volume: float, now: Since, since:
         row["z_virial"] = 1.0 + given / pressed
     if rate > 0.0:
         row["free_time"], row["free_path"] = 1.0 / rate, speed / count / rate
-    if elastic and largest == -minus_smallest and heaviest == -minus_lightest:
+    if elastic and not changed and largest == -minus_smallest and heaviest == -minus_lightest:
         row["z_rate"] = 1.0 + 2.0 * largest * rate * sqrt(pi * heaviest / temperature) / (2.0 * d)
     return row
 

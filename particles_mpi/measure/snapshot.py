@@ -14,7 +14,8 @@ from particles_mpi.parallel.exchange import allgather_rows, id_range, in_id_orde
 from particles_mpi.particles import FIELDS, RUN_MADE, Array, Particles, components, rows_of, same_bits
 
 JSON_FORMAT = "particles_mpi state 3"
-METADATA = ("step", "moment", "h", "observed", "totals", "notes", "next_id", "additions", "scene")  # keys of `metadata`
+# The keys of `metadata` of a simulation
+METADATA = ("step", "moment", "h", "observed", "totals", "reported", "notes", "next_id", "additions", "scene")
 TABLE_ROWS = 20  # rows of a printed table
 LARGE_TEXT = 1_000_000  # particles: with more an error tells the user what a text with all of them costs
 JSON_BYTES = 1000  # of memory for a particle: its numbers as objects and as text, measured in 3D

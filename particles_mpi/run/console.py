@@ -95,7 +95,14 @@ def announce_compiling(scene: Any) -> None:
 
 
 class SteadyConsole(Console):
-    """A console that stops printing where its output is no longer read, as behind `| head`; the run goes on."""
+    """A console that stops printing where its output is no longer read, as behind `| head`, or has no room; the run goes on."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        try:
+            super().print(*objects, **options)
+        except OSError as error:
+            self.on_broken_pipe()
+            print(f"standard output cannot be written ({error.strerror}): nothing more is printed", file=sys.stderr, flush=True)
 
     def on_broken_pipe(self) -> None:
         self.quiet = True

@@ -44,7 +44,8 @@ def report_end(
     with the step `first`; `phases`: for those of the loop. `energies`: of the rows of diagnostics.
     """
     timers, counts = phase_seconds(sim, seconds, phases), run_counts(sim)
-    remarks = sim.remarks() + energies.remarks(sim.active)
+    sim.output_record.energy_remarks = energies.remarks(sim.active)
+    remarks = sim.remarks()
     screen.phases(timers, sim.steps_done - first, sim.total)
     say = screen.say
     if windows := counts.get("windows"):

@@ -145,7 +145,7 @@ class RunFiles:
                 writer.wait_for_disk()
             metadata = sim.metadata()
             past = {"counts": run_counts(sim), "calls": sim.calls, "energies": asdict(self.record.energies)}
-            kept = metadata | {"reported": self.record.reported, "written": self.record.written, "past": past}
+            kept = metadata | {"written": self.record.written, "past": past}
             state = {name: json.dumps(value) for name, value in kept.items()} | {"step": metadata["step"], "time": sim.time}
             state["effect_files"] = json.dumps(sim.scene.digests())
             path, d = self.folder / "checkpoint.h5", sim.scene.dimension

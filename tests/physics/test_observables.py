@@ -1,5 +1,8 @@
 """Observables of a hard-sphere fluid, in both modes, against theory; and that asking for them changes nothing else."""
 
+import csv
+from io import StringIO
+
 import numpy as np
 import pytest
 
@@ -139,12 +142,17 @@ def make_elastic(sim):
     sim.effects["collisions"].restitution = 1.0
 
 
+def make_larger(sim):
+    sim.particles.radius *= 1.01
+
+
 CHANGES = {
     "removed": (remove_half, None, RATES),
     "added": (add_some, None, RATES),
     "fixed and freed": (fix_and_free, None, RATES),
     "freed": (lambda sim: fix_some(sim, False), fix_some, RATES),
     "elastic": (make_elastic, None, {"z_rate"}),
+    "larger": (make_larger, None, {"z_rate"}),
 }
 
 
@@ -175,6 +183,47 @@ def test_an_interval_in_which_something_else_collided_has_no_rates(name, look, t
         assert unknown(one) == (set() if look else told)
         one.steps(10)
         assert unknown(one) == set()
+
+
+def test_a_change_within_a_step_is_one_too():
+    """`step_to_collision` ends at a collision, before a step is done."""
+    sim = Simulation(fluid(0.2, 0.05, 300, mode="event"))
+    sim.h = 100.0
+    sim.measure()
+    for _ in range(10):
+        sim.step_to_collision()
+    assert sim.steps_done == 0
+    remove_half(sim)
+    sim.step_to_collision()
+    assert unknown(sim) == RATES
+
+
+def test_a_copy_counts_on_from_the_last_row(tmp_path):
+    """The first row of its run has the collisions since the last row of the original, and the rates of that interval."""
+    sim = Simulation(fluid(0.2, 0.05, 300, mode="event"))
+    sim.run(tmp_path / "first", steps=10, quiet=True)  # with a row at its end
+    sim.steps(5)
+    sim.to_json(tmp_path / "s.json")
+    rows = []
+    for number, one in enumerate((sim.copy(), Simulation.from_json(tmp_path / "s.json"), sim)):
+        one.run(tmp_path / str(number), steps=17, quiet=True)
+        rows.append((tmp_path / str(number) / "diagnostics.csv").read_text())
+    first = next(csv.DictReader(StringIO(rows[0])))
+    assert rows[0] == rows[1] == rows[2]
+    assert float(first["collision_rate"]) == pytest.approx(2.0 * int(first["collisions"]) / (300 * 5 * sim.h), rel=1e-12)
+
+
+def test_the_clock_is_set_in_full_precision(tmp_path):
+    sim = Simulation(fluid(0.2, 0.05, 300, mode="event"))
+    sim.measure()
+    sim.time = np.float32(0.1)
+    assert type(sim.time) is float
+    sim.steps(10)
+    sim.to_json(tmp_path / "s.json")
+    assert sim.copy() == Simulation.from_json(tmp_path / "s.json")
+    other = Simulation(fluid(0.2, 0.05, 300, mode="event"))
+    other.steps(10)
+    assert sim.measure()["collision_rate"] == pytest.approx(other.measure()["collision_rate"], rel=1e-12)
 
 
 @pytest.mark.parametrize("d", [2, 3])

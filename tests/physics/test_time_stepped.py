@@ -261,6 +261,17 @@ def test_spheres_that_get_too_fast_for_the_step_are_told(mode, fall, told):
     assert any("more than their diameter in a step" in remark for remark in sim.remarks()) == told
 
 
+def test_spheres_that_get_too_fast_are_told_where_others_are_added_all_the_time():
+    """After an addition everything that depends on the rows is made anew, and with it what looks at the speeds now and then."""
+    balls = {"position": [[0.0, 0.0], [5.0, 0.0]], "radius": 0.1}
+    fall = {"uniform_gravity": {"acceleration": [0.0, -9.81]}, "collisions": {}}
+    sim = Simulation(Scene(dimension=2, time={"step": 0.02, "steps": 100}, particles=[balls], effects=fall))
+    for number in range(30):
+        sim.steps(4)
+        sim.add({"position": [[10.0 + number, 0.0]], "velocity": [0.0, 0.0], "radius": 0.1})
+    assert any("more than their diameter in a step" in remark for remark in sim.remarks())
+
+
 def carnahan_starling(packing: float) -> float:
     """Z by Carnahan and Starling, J. Chem. Phys. 51, 635 (1969); within 0.1 % of reference/ at this density."""
     return (1 + packing + packing**2 - packing**3) / (1 - packing) ** 3

@@ -27,7 +27,8 @@ class Signs:
 
     def __init__(self, near: Neighbourhood):
         self.near = near
-        self.drifts, self.dense_steps, self.too_fast = 0, 0, False
+        self.drifts = SPEEDS_EVERY - 1  # the first drift is looked at: this may be made anew more often than every ten
+        self.dense_steps, self.too_fast = 0, False
         self.collisions, self.late_collisions = 0, 0
 
     def look_at_speeds(self, h: float, drifts: int = 1) -> None:

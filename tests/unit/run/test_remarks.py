@@ -12,9 +12,12 @@ from particles_mpi import Scene, Simulation
 
 
 def ended(folder, **tables):
-    """run.json of a run in two dimensions."""
-    Simulation(Scene(dimension=2, output={"formats": []}, **tables)).run(folder, quiet=True)
-    return json.loads((folder / "run.json").read_text())
+    """run.json of a run in two dimensions, which has the remarks that a script is told."""
+    sim = Simulation(Scene(dimension=2, output={"formats": []}, **tables))
+    sim.run(folder, quiet=True)
+    about = json.loads((folder / "run.json").read_text())
+    assert about["remarks"] == sim.remarks()
+    return about
 
 
 DRAG = {"drag": {"rate": 0.1}}

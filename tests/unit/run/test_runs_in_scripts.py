@@ -27,6 +27,12 @@ def test_options_that_are_no_numbers_are_refused_and_nothing_is_written(option, 
     assert not (tmp_path / "o").exists() and sim.steps_done == 0
 
 
+def test_an_option_that_there_is_not_is_named_with_those_that_there_are(tmp_path):
+    with pytest.raises(TypeError, match="run: every: not one of its options, overwrite, resumed, steps, wall_time"):
+        simulation().run(tmp_path / "o", every=2)
+    assert not (tmp_path / "o").exists()
+
+
 @pytest.mark.parametrize("every", [0, -3, 2.5])
 def test_frames_of_a_view_come_every_whole_number_of_steps(every):
     with pytest.raises(ValueError, match="view: every"):
