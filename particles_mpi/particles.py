@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from math import prod
@@ -247,10 +248,10 @@ def part_of(p: Particles, rows: slice) -> Particles:
     return Particles(p.dimension, {name: array[rows] for name, array in p.arrays.items()})
 
 
-def to_read(p: Particles) -> Particles:
-    """Return the same rows in the same memory, with built-in fields read-only; columns that effects bring stay writable."""
+def to_read(p: Particles, names: Iterable[str] = BUILT_IN) -> Particles:
+    """Return the same rows in the same memory, with the named fields read-only; columns that effects bring stay writable."""
     given = Particles(p.dimension, {name: array[:] for name, array in p.arrays.items()})
-    for name in given.arrays.keys() & FIELDS.keys() & set(BUILT_IN):
+    for name in given.arrays.keys() & FIELDS.keys() & set(names):
         given.arrays[name].flags.writeable = False
     given.version, given.edition = p.version, p.edition
     return given

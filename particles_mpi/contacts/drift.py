@@ -19,7 +19,7 @@ from particles_mpi.kernels.geometry import wrap
 from particles_mpi.kernels.jit import plain
 from particles_mpi.kernels.motion import free_drift
 from particles_mpi.kernels.turning import turn
-from particles_mpi.particles import Array, Particles, rows_with
+from particles_mpi.particles import Array, Particles, rows_with, to_read
 from particles_mpi.scene.active import ActiveEffects
 from particles_mpi.scene.calls import call_method, number_from
 from particles_mpi.scene.effect import Context, Damping, Event, PairContacts, RollingResistance, WallContacts
@@ -151,10 +151,10 @@ class Drift:
 
     def act(self, events: dict[str, Event], h: float) -> bool:
         """Call the events at the end of the drift. Returns whether any row of this rank was changed."""
-        changed = 0
+        changed, rows = 0, to_read(self.rows, ("id",))
         for name, event in events.items():
             with self.context.timers("events"):
-                changed += number_from(name, call_method(name, event.act, self.rows, h))
+                changed += number_from(name, call_method(name, event.act, rows, h))
             self.calls[name] += 1
         if changed:
             self.rows.hold_fixed()

@@ -13,11 +13,11 @@ checks them. `Effect` derives from one of these kinds, which determine when it a
 - `VelocityFlow`: `advance` changes velocities at fixed positions, exactly, for instance by a rotation in a magnetic field;
 - `Event`: `act` changes positions and velocities at the end of the drift of each step.
 
-All three change arrays in place. `add` and `advance` return nothing, `act` returns how many particles it has changed. Changes to
-the velocities of fixed particles are undone. `fixed` is an array of 0 and 1 there, so the mask of rows is `fixed != 0`. A force
-can only read the built-in fields: their arrays are read-only, so write a kernel without an explicit signature. Flows and events
-need the integrator `leapfrog` or `taylor`. A file that was edited is read again by the next scene; simulations that exist already
-keep the old version.
+All three change arrays in place. `add` and `advance` return nothing, `act` returns how many particles it has changed. Changes
+to the velocities of fixed particles are undone. `fixed` is an array of 0 and 1 there, so the mask of rows is `fixed != 0`. A
+force can only read the built-in fields, a flow not change positions, none of them ids: these arrays are read-only, so write a
+kernel without an explicit signature. Flows and events need the integrator `leapfrog` or `taylor`. A file that was edited is
+read again by the next scene; simulations that exist already keep the old version.
 
 `needs` declares what an effect needs from the program. A column of its own per particle (a charge, say) becomes a key of every
 `[[particles]]` table, and is written to frames and checkpoints. An effect that no scene names is never imported.

@@ -30,6 +30,8 @@ COMPOSITIONS = {
     "order4": ((*B, 1.0 - 2.0 * sum(B), *B[::-1]), (*A, 0.5 - sum(A), 0.5 - sum(A), *A[::-1])),
 }
 
+FIXED_IN_KICKS = "id", "position"  # a velocity flow can only read them
+
 
 def integrator_of(
     scene: Scene, ranks: Communicator, kick: Kick, persistent: Any, closing: Any
@@ -145,11 +147,12 @@ class Kick:
                 assert a is not None  # contacts last only where there are forces
                 contacts = particles.fixed, particles["supported"], particles["total_acceleration"], np.empty_like(a)
                 press(a, *contacts)
+            rows = to_read(particles, FIXED_IN_KICKS) if self.flows else particles
             for name, flow in self.flows.items():
-                call_in_place(name, flow.advance, particles, 0.5 * h)
+                call_in_place(name, flow.advance, rows, 0.5 * h)
             self.force_and_losses(particles, a, h, drift if a is None and not self.damping and not self.flows else 0.0)
             for name, flow in reversed(self.flows.items()):
-                call_method(name, flow.advance, particles, 0.5 * h)
+                call_method(name, flow.advance, rows, 0.5 * h)
             if self.presses:
                 release(particles.velocity, a, *contacts, self.factors_of(particles, h)[1])
             if self.flows:

@@ -208,6 +208,19 @@ def test_a_force_that_moves_particles_is_stopped(tmp_path, body):
         s.step()
 
 
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        ("VelocityFlow", "def advance(s, p, h): p.position += h"),
+        ("VelocityFlow", "def advance(s, p, h): p['id'][:] = p.id[::-1]"),
+        ("Event", "def act(s, p, h):\n    p.id += 1\n    return 1"),
+    ],
+)
+def test_a_flow_that_moves_particles_is_stopped_and_whatever_changes_ids(tmp_path, kind, body):
+    with pytest.raises(StoppedError, match=r"^effects\.mine: its `(advance|act)` failed: ValueError: .*read-only"):
+        sim(write(tmp_path, body, kind)).step()
+
+
 @pytest.mark.parametrize("returned", ["float((p.position**2).sum())", "p.position", "p.position[:, :1]"])
 def test_a_potential_is_a_number_for_each(tmp_path, returned):
     with pytest.raises(StoppedError, match=r"^effects\.mine: its `potential` returned"):
