@@ -34,6 +34,22 @@ piling = Simulation(Scene.from_dict(random_tables(np.random.default_rng(2059)) |
 for _ in range(10):
     met.append((piling.step_to_collision(), piling.time.hex()))
 
+gas = Scene.from_dict(tables | {"effects": {"collisions": {}, "walls": {}}, "output": {"observables": True}})
+for name, value in (("fixed", True), ("radius", 0.05)):  # of a particle of the last rank, for a step
+    changed = Simulation(gas)
+    changed.steps(5)
+    before, ranks = 0.1 if name == "radius" else False, changed.ranks
+    which = ranks.largest(changed.particles.id.max() if ranks.rank == ranks.size - 1 else -1)[0]
+    for given in (value, before):
+        changed.particles[name][changed.particles.id == which] = given
+        changed.step()
+    changed.to_json(folder / "changed.json")
+    ranks.comm.Barrier()
+    for one in (changed, changed.copy(), Simulation.from_json(folder / "changed.json")):
+        one.steps(30)
+        row = one.measure()
+        met.append((name, [key for key in ("collision_rate", "z_virial", "z_rate") if np.isnan(row[key])]))
+
 tables["effects"]["collisions"] = {"restitution": 0.9}
 roaming = Simulation(Scene.from_dict(tables))
 roaming.attach("charge", np.arange(30) * 0.5)

@@ -20,5 +20,6 @@ def test_the_library_on_any_ranks(many, tmp_path):
     assert said[0].count("0x1.") >= 12 and "('same again', True)" in said[0] and "('charge', True, True)" in said[0]
     assert "('the same on other ranks', True, True), ('a step later on the last rank', False)" in said[0]
     assert "('same before and after', False)" in said[0] and "('json', True)" in said[0]
+    assert said[0].count("('fixed', ['collision_rate', 'z_virial', 'z_rate'])") == 3 == said[0].count("('radius', ['z_rate'])")
     assert said[1] == said[0]
     assert files[1] == files[0]

@@ -185,6 +185,17 @@ def test_an_interval_in_which_something_else_collided_has_no_rates(name, look, t
         assert unknown(one) == set()
 
 
+def test_rows_of_a_run_have_no_rates_after_a_change(tmp_path):
+    sim = Simulation(fluid(0.2, 0.05, 300, mode="event"))
+    sim.run(tmp_path, steps=10)
+    sim.steps(5)
+    remove_half(sim)
+    sim.run(tmp_path, steps=30, resumed=True)
+    rows = {int(row["step"]): row for row in csv.DictReader(StringIO((tmp_path / "diagnostics.csv").read_text()))}
+    rates = {step: np.isnan([float(row[name]) for name in RATES]) for step, row in rows.items()}
+    assert not rates[10].any() and rates[20].all() and not rates[30].any()
+
+
 def test_a_change_within_a_step_is_one_too():
     """`step_to_collision` ends at a collision, before a step is done."""
     sim = Simulation(fluid(0.2, 0.05, 300, mode="event"))
