@@ -90,8 +90,11 @@ def refuse_other_dimensions(a: Run, b: Run) -> None:
         stop(f"the runs are in {a.dimension} and in {b.dimension} dimensions")
 
 
-def draw(times: np.ndarray, curves: dict[str, np.ndarray], radius: float, title: str) -> Figure:
-    """Draw largest and rms difference over time, one panel for position and one for velocity; zeros are not drawn."""
+def draw(times: np.ndarray, curves: dict[str, np.ndarray], radius: float, title: str, first: str | None) -> Figure:
+    """Draw largest and rms difference over time, one panel for position and one for velocity; zeros are not drawn.
+
+    first: the line about the first difference of all, if there is one.
+    """
     figure, panels = plt.subplots(2, 1, figsize=(9, 7), sharex=True, dpi=130, layout="constrained")
     for axes, (name, color) in zip(panels, CURVES.items(), strict=True):
         largest, rms = np.ma.masked_equal(curves[name], 0).T
@@ -102,11 +105,13 @@ def draw(times: np.ndarray, curves: dict[str, np.ndarray], radius: float, title:
                 axes.axhline(radius, color=GREY, ls=":", label="smallest radius")
             axes.legend()
         else:
-            axes.text(0.5, 0.5, "no difference in any frame", ha="center", transform=axes.transAxes, color=GREY)
+            text = "none in any frame, of particles that are in both runs"
+            axes.text(0.5, 0.5, text, ha="center", transform=axes.transAxes, color=GREY)
             axes.set_yticks([])
         axes.set_title(f"difference of {name}")
     panels[-1].set(xlabel="time", xlim=(times.min(), times.max() if times.max() > times.min() else times.min() + 1))
     figure.suptitle(title, fontsize=13, parse_math=False)
+    figure.supxlabel(first or "", fontsize=9, color=GREY, wrap=True, parse_math=False)
     return figure
 
 
@@ -155,7 +160,7 @@ def main() -> None:
         print("same bits" if same_times else "same bits in these frames, but the frames or their times are not the same")
     times = a.times[[i for i, _ in pairs]]
     title = f"{a.title}: {a.folder} against {b.folder}"
-    figure = draw(times, {name: np.array(values) for name, values in curves.items()}, radius, title)
+    figure = draw(times, {name: np.array(values) for name, values in curves.items()}, radius, title, first)
     finish(figure, save_path(options.save, options.run_a, "compare_runs.png"), options.show)
     raise SystemExit(0 if same_times and not first else 1)
 

@@ -9,10 +9,9 @@ from matplotlib import pyplot as plt
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from run_files import finite, spaced
-from spheres import paint_spheres
 
 from particles_mpi import Run
-from particles_mpi.results.frame import Frame
+from particles_mpi.results.frame import Frame, one_number_each
 from particles_mpi.results.scenery import Scenery, in_space
 
 HEADING, LETTER = 13, 0.1  # size of the letters of the heading, and how wide one is, in inches; long titles have smaller ones
@@ -37,12 +36,15 @@ COLORS: dict[str, tuple[Callable[[Frame], np.ndarray], str, str, float]] = {
 
 
 def color_of(name: str) -> tuple[Callable[[Frame], np.ndarray], str, str, float]:
-    """Return an entry of `COLORS`, or one for any other field of the frames: its values, or the lengths of its vectors."""
+    """Return an entry of `COLORS`, or one for any other field of the frames: its values, or the lengths of its vectors.
+
+    Vectors of one component, such as spins in the plane, have a sign.
+    """
 
     def values(frame: Frame) -> np.ndarray:
         if name not in frame.fields:
             raise IndexError(f"--color {name}: frame {frame.index} has {', '.join(dict.fromkeys([*COLORS, *frame.fields]))}")
-        return np.linalg.norm(frame[name], axis=1) if frame[name].ndim > 1 else frame[name].astype(float)
+        return one_number_each(frame[name])
 
     return COLORS.get(name, (values, name, "plasma", 99.5))
 
@@ -111,6 +113,8 @@ class Picture:
         self.lower, self.upper = np.full(3, np.inf), np.full(3, -np.inf)
         for frame in frames:
             values = self.value(frame)
+            if self.label in frame.fields and frame[self.label][:1].size > 1:
+                self.label = f"|{self.label}|"  # the length of a vector
             position = in_space(frame.position)
             good = np.isfinite(position).all(axis=1)
             if good.any():
@@ -223,6 +227,8 @@ class Picture:
         least = np.where(frame.radius > 0, SMALLEST, point)
         points = int(np.count_nonzero(seen & (frame.radius == 0)))
         small = int(np.count_nonzero(radius[seen] < SMALLEST)) - points
+        from spheres import paint_spheres  # here: where nothing compiled can be kept, the script ends with one line
+
         rgb = self.colors.to_rgba(self.value(frame))[:, :3]
         if not self.planar:
             half = np.linalg.norm(self.upper - self.lower) / 2

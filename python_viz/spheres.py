@@ -6,7 +6,8 @@ Radii are exact, while a scatter plot only has marker sizes in points. The loop 
 from math import floor, sqrt
 
 import numpy as np
-from numba import njit
+
+from particles_mpi.kernels.jit import kernel
 
 SAMPLES = 3  # an output pixel is the mean of SAMPLES x SAMPLES painted ones, which makes edges smooth
 LIGHT = np.array([-0.42, 0.55, 0.72])  # towards the lamp; x right, y up, z to the viewer
@@ -33,7 +34,7 @@ def paint_spheres(
     return image
 
 
-@njit(cache=True)
+@kernel
 def _find_nearest(nearest, sphere, center, radius, depth, thickness):  # type: ignore[no-untyped-def]
     """Find which sphere is seen at each sample, and at what distance."""
     high, wide = nearest.shape
@@ -48,7 +49,7 @@ def _find_nearest(nearest, sphere, center, radius, depth, thickness):  # type: i
                     sphere[row, column] = i
 
 
-@njit(cache=True)
+@kernel
 def _shade(image, sphere, center, radius, rgb, outlined):  # type: ignore[no-untyped-def]
     """Return the mean colour of each pixel's samples: ambient and diffuse light, darker limb, small highlight (Blinn-Phong)."""
     for row in range(sphere.shape[0]):

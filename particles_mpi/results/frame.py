@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import prod
 
 import numpy as np
 
 from particles_mpi.particles import Array, as_shown
+
+
+def one_number_each(values: Array) -> Array:
+    """Return one number (N,) for each row of values (N, ...): a single component with its sign, or the length of the vector."""
+    rows = values.reshape(len(values), prod(values.shape[1:])).astype(float, copy=False)
+    numbers: Array = rows[:, 0] if rows.shape[1] == 1 else np.linalg.norm(rows, axis=1)
+    return numbers
 
 
 class Frame:
@@ -39,6 +47,10 @@ class Frame:
             vars(self)[name] = as_shown(name, stored)
         values: Array = vars(self)[name]
         return values
+
+    def __dir__(self) -> list[str]:
+        """The fields too, for completion in a notebook."""
+        return [*super().__dir__(), *self.fields]
 
     @property
     def speed(self) -> Array:

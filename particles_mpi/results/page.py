@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import re
 from base64 import b64encode
-from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +19,7 @@ from particles_mpi.errors import SceneError
 from particles_mpi.output.replacing import replace_text
 from particles_mpi.particles import Array
 from particles_mpi.results.curves import curves
+from particles_mpi.results.frame import one_number_each
 from particles_mpi.results.scenery import Scenery, in_space
 
 HERE = Path(__file__).parent
@@ -124,13 +124,16 @@ def choose(counts: list[int], quantities: int, room: float, constant: int = 0) -
 
 
 def quantities(frame: Any) -> dict[str, Array]:
-    """What is known of each particle as one number, (N,) each: id, fields, lengths of vectors; speed in place of velocity."""
+    """What is known of each particle as one number, (N,) each: id, fields, lengths of vectors; speed in place of velocity.
+
+    Vectors of one component, such as spins in the plane, have a sign.
+    """
     found = {"id": frame.id}
     for name in frame.fields:
         if name in ("position", "id", "velocity"):
             continue
         values = frame[name] if name != "fixed" else frame[name].astype(float)
-        found[name] = values if values.ndim == 1 else np.linalg.norm(values.reshape(len(values), prod(values.shape[1:])), axis=1)
+        found[name] = values if values.ndim == 1 else one_number_each(values)
     return found | {"speed": frame.speed}
 
 

@@ -12,6 +12,8 @@ import pytest
 from conftest import ROOT, run_ranks
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib import pyplot as plt
+from matplotlib.text import Text
 
 from particles_mpi import Run, Scene, Simulation
 
@@ -99,9 +101,41 @@ def viz(module):
     """A module of python_viz."""
     sys.path.insert(0, str(ROOT / "python_viz"))
     try:
+        import_module("spheres")  # which a picture imports when it is painted
         return import_module(module)
     finally:
         sys.path.pop(0)
+
+
+@pytest.mark.parametrize(("d", "shown", "label"), [(2, [2.0, -3.0], "spin"), (3, [21**0.5, 3.0], "|spin|")])
+def test_spins_in_the_plane_are_shown_with_their_sign(d, shown, label, tmp_path):
+    spin = [2.0, -3.0] if d == 2 else [[2.0, 1.0, 4.0], [0.0, 0.0, -3.0]]
+    balls = {"position": [[0.0] * d, [3.0] * d], "radius": 0.5, "spin": spin}
+    scene = Scene(dimension=d, time={"step": 0.1, "steps": 1}, particles=[balls], effects={"collisions": {"friction": 0.3}})
+    Simulation(scene).run(tmp_path)
+    drawn = viz("picture").Picture(Run(tmp_path), Run(tmp_path)[:], "spin", (0.0, 0.0), 100)
+    assert drawn.value(Run(tmp_path)[0]) == pytest.approx(shown) and drawn.label == label
+    plt.close(drawn.figure)
+
+
+def test_the_picture_of_runs_that_differ_by_who_is_there_says_so(tmp_path):
+    two = {"position": [[0.0, 0.0], [3.0, 0.0]], "velocity": [1.0, 0.0]}
+    scene = Scene(dimension=2, time={"step": 0.01, "steps": 20}, output={"every": 10}, particles=[two])
+    Simulation(scene).run(tmp_path / "a")
+    sim = Simulation(scene)
+    sim.run(tmp_path / "b", steps=10)
+    sim.remove([1])
+    sim.run(tmp_path / "b", resumed=True)
+    compare_runs = viz("compare_runs")
+    drawn = []
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit, match="1"):
+        patch.setattr(compare_runs, "finish", lambda figure, *_: drawn.append(figure))
+        patch.setattr(sys, "argv", ["compare_runs.py", str(tmp_path / "a"), str(tmp_path / "b")])
+        compare_runs.main()
+    texts = [text.get_text() for text in drawn[0].findobj(Text)]
+    assert "first difference: frame 2, t = 0.2: presence of 1 particles: ids 1" in texts
+    assert texts.count("none in any frame, of particles that are in both runs") == 2
+    plt.close(drawn[0])
 
 
 @settings(max_examples=200)

@@ -11,6 +11,7 @@ import pytest
 from numba import typeof
 from numba.core.serialize import dumps
 
+from particles_mpi import Scene, Simulation
 from particles_mpi.contacts.law import Loss
 from particles_mpi.kernels.geometry import Box
 from particles_mpi.setup.kernel_sources import PACKAGE, STATE_FILE, Sources
@@ -138,16 +139,19 @@ def test_kernels_with_arguments_of_a_class_that_is_gone_are_forgotten(whole, edi
     assert sorted(path.name for path in cache.iterdir()) == ["motion.wrap-1.py311.1.nbc", "motion.wrap-1.py311.nbi"]
 
 
-def test_no_folder_for_kernels_is_one_line():
+def test_no_folder_for_kernels_is_one_line(tmp_path):
+    Simulation(Scene(dimension=1, time={"step": 0.1, "steps": 1}, particles=[{"position": [[0.0]]}])).run(tmp_path)
     nowhere = {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator", "NUMBA_CACHE_DIR": "/proc/none"}
     scene = PACKAGE / "scenes" / "bounce.toml"
 
-    def told(*command):
-        call = [sys.executable, "-m", "particles_mpi", *command]
+    def told(*command, program=("-m", "particles_mpi")):
+        call = [sys.executable, *program, *command]
         done = subprocess.run(call, cwd=PACKAGE.parent, env=os.environ | nowhere, capture_output=True, text=True, timeout=300)
         return done.returncode, done.stderr, done.stdout
 
     code, error, _ = told("check", scene)
+    assert code == 2 and error.count("\n") == 1 and "set NUMBA_CACHE_DIR" in error, error
+    code, error, _ = told(tmp_path, program=["python_viz/plot_frame.py"])
     assert code == 2 and error.count("\n") == 1 and "set NUMBA_CACHE_DIR" in error, error
     code, error, table = told("doctor")
     assert (code, error) == (1, "") and "NUMBA_CACHE_DIR" in table
