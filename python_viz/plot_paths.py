@@ -1,7 +1,7 @@
 """Draw the paths of a few particles, or the positions of many at the last frame, seen along the last axis.
 
 There is one panel per run. Up to 30 particles are drawn as paths that end in a dot: between two frames a curve that fits the
-velocities at both ends, or a straight line if collisions or walls turn the particle, or `sim.time` was set back; a path that
+velocities at both ends, or a straight line if collisions or walls turn the particle; a path that
 leaves through a periodic face continues at the opposite face. More particles are drawn at their last positions, as spheres if
 they have radii, otherwise as points that are brighter where there are many. `--span` leaves out particles far from the middle. In
 one dimension all paths are drawn over time.
@@ -32,7 +32,26 @@ COLUMNS = 3
 MANY_POINTS = 4000  # points: more are drawn as small as can be
 TITLE = 40  # letters in a line of a title
 PIECES = 8  # of a curve between two frames
+WELL_BELOW = 0.25  # times the square of another error: a candidate that is better, and not only by chance
 PALER = 0.45  # times as strong are the colours when they are used again
+
+
+def durations(frames: list[Frame], moved: np.ndarray, velocity: np.ndarray, length: np.ndarray | float) -> np.ndarray:
+    """Return the time from each frame to the next, (s - 1,), also where `sim.time` was set on the way.
+
+    That is what the times say, or the steps with their length before or after: what fits best how far the particles `moved`
+    (s - 1, n, d), but for times round a periodic box, at these mean velocities.
+    """
+    times, steps = (np.diff([getattr(frame, name) for frame in frames]) for name in ("time", "step"))
+    pace = times / np.maximum(steps, 1)
+    candidates = np.array([times, steps * np.insert(pace[:-1], 0, pace[0]), steps * np.append(pace[1:], pace[-1])])
+    left = moved - velocity * candidates[:, :, None, None]
+    left -= np.rint(left / np.where(length, length, np.inf)) * length
+    wrong = np.nansum(left**2, axis=(2, 3))
+    wrong[candidates <= 0.0] = np.inf
+    best, number = wrong.argmin(axis=0), np.arange(len(times))
+    better = wrong[best, number] < WELL_BELOW * wrong[0]  # else both are the same but for round-off
+    return np.where(better, candidates[best, number], times)
 
 
 def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -43,20 +62,23 @@ def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0
     """
     ids = np.unique(np.concatenate([frame.id for frame in frames]))
     times = np.array([frame.time for frame in frames])
-    smooth = smooth and len(times) > 1 and bool((np.diff(times) > 0.0).all())  # else `sim.time` was set back
     places = np.full((len(frames), len(ids), frames[0].position.shape[1]), np.nan)  # a gap where a particle was not there
     velocities = places.copy()
     for k, frame in enumerate(frames):
         here = np.searchsorted(ids, frame.id)
         places[k, here], velocities[k, here] = frame.position, frame.velocity
-    mean = 0.5 * (velocities[1:] + velocities[:-1])
-    expected = mean * np.diff(times)[:, None, None] * smooth
-    periods = np.rint((np.diff(places, axis=0) - expected) / np.where(length, length, np.inf))
+    moved, mean = np.diff(places, axis=0), 0.5 * (velocities[1:] + velocities[:-1])
+    lasted = durations(frames, moved, mean, length) if smooth and len(times) > 1 else np.zeros(len(times) - 1)
+    smooth = bool((lasted > 0.0).all()) and len(times) > 1
+    expected = mean * lasted[:, None, None] * smooth
+    periods = np.rint((moved - expected) / np.where(length, length, np.inf))
     places[1:] -= np.cumsum(np.nan_to_num(periods), axis=0) * length
     if not smooth or np.isnan(places).any():
         return times, places
-    moments = np.interp(np.arange(PIECES * (len(times) - 1) + 1) / PIECES, np.arange(len(times)), times)
-    return moments, CubicHermiteSpline(times, places, velocities)(moments)
+    clock, number = np.insert(np.cumsum(lasted), 0, 0.0), np.arange(len(times))
+    at = np.arange(PIECES * (len(times) - 1) + 1) / PIECES
+    moments, ticks = np.interp(at, number, times), np.interp(at, number, clock)
+    return moments, CubicHermiteSpline(clock, places, velocities)(ticks)
 
 
 def inside(path: np.ndarray, lower: np.ndarray, length: np.ndarray) -> np.ndarray:

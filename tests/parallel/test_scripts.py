@@ -330,15 +330,15 @@ def test_numbers_of_other_types_are_not_the_same_bits():
     assert same_bits(ones[:, None][:, :0], ones[:, None][:, :0]).all()
 
 
-@pytest.fixture(scope="module")
-def with_time_set(tmp_path_factory):
-    """A run without collisions that goes over periodic faces; half way the user sets the time back."""
+@pytest.fixture(scope="module", params=[0.0, 1.2, 1000.0])
+def with_time_set(tmp_path_factory, request):
+    """A run without collisions that goes over periodic faces; half way the user sets the time back, or forward."""
     folder = tmp_path_factory.mktemp("set")
     pair = {"position": [[1, 1], [2, 2]], "velocity": [[0.5, 0.3], [0.0, 0.4]], "radius": 0.2}
     box, time = {"lower": [0, 0], "upper": [4, 4], "periodic": True}, {"step": 0.1, "steps": 40}
     sim = Simulation(Scene(dimension=2, box=box, time=time, particles=[pair], output={"every": 5, "formats": ["hdf5"]}))
     sim.run(folder, steps=20)
-    sim.time = 0.0
+    sim.time = request.param
     sim.run(folder)
     return folder
 
@@ -348,22 +348,23 @@ def test_a_run_in_which_the_time_was_set_is_like_itself(with_time_set):
     assert done.returncode == 0 and "\nsame bits\n" in done.stdout, done.stdout + done.stderr
 
 
-def test_paths_of_a_run_with_longer_steps_go_as_far(tmp_path):
-    """Over faces of a periodic box: only the velocities tell how often."""
+@pytest.mark.parametrize("last", [40, 25])
+def test_paths_of_a_run_with_longer_steps_go_as_far(tmp_path, last):
+    """Over faces of a periodic box: only the velocities tell how often. The longer steps may be those of one frame only."""
     one, box = {"position": [[1.0, 1.0]], "velocity": [[0.5, 0.0]]}, {"lower": [0, 0], "upper": [4, 4], "periodic": True}
     sim = Simulation(Scene(dimension=2, box=box, time={"step": 0.1, "steps": 40}, particles=[one], output={"every": 5}))
     sim.run(tmp_path, steps=20)
     sim.h = 2.0
-    sim.run(tmp_path)
+    sim.run(tmp_path, steps=last)
     _, places = viz("plot_paths").paths_of(Run(tmp_path)[:], True, np.full(2, 4.0))
-    np.testing.assert_allclose(places[-1], [[1.0 + 0.5 * 42.0, 1.0]], atol=1e-9)
+    np.testing.assert_allclose(places[-1], [[1.0 + 0.5 * (2.0 + 2.0 * (last - 20)), 1.0]], atol=1e-9)
 
 
 def test_paths_of_a_run_in_which_the_time_was_set_are_straight(with_time_set):
-    frames = Run(with_time_set)[:]
-    _, places = viz("plot_paths").paths_of(frames, True, np.full(2, 4.0))
+    frames, plot_paths = Run(with_time_set)[:], viz("plot_paths")
+    _, places = plot_paths.paths_of(frames, True, np.full(2, 4.0))
     elapsed = np.array([0.1 * frame.step for frame in frames])[:, None]
-    np.testing.assert_allclose(places[:, 0], [1, 1] + elapsed * [0.5, 0.3], atol=1e-9)
+    np.testing.assert_allclose(places[:: plot_paths.PIECES, 0], [1, 1] + elapsed * [0.5, 0.3], atol=1e-9)
 
 
 def test_a_run_without_its_scene_has_no_known_dimension(tmp_path):
