@@ -1,10 +1,10 @@
 """Draw the paths of a few particles, or the positions of many at the last frame, seen along the last axis.
 
 There is one panel per run. Up to 30 particles are drawn as paths that end in a dot: between two frames a curve that fits the
-velocities at both ends, or a straight line if collisions or walls turn the particle; a path that
-leaves through a periodic face continues at the opposite face. More particles are drawn at their last positions, as spheres if
-they have radii, otherwise as points that are brighter where there are many. `--span` leaves out particles far from the middle. In
-one dimension all paths are drawn over time.
+velocities at both ends, or a straight line if collisions or walls turn the particle; a path that leaves through a periodic face
+continues at the opposite face. More particles are drawn at their last positions, as spheres if they have radii, otherwise as
+points that are brighter where there are many. `--span` leaves out particles far from the middle. In one dimension all paths are
+drawn over time.
 
 example:
     python python_viz/plot_paths.py out/figure_eight out/solar_system --save gravity.png

@@ -1,6 +1,10 @@
 """Finds the cheapest setting of a scene that reaches a tolerance: searches, times fairly, verifies at half the step, writes."""
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from errno import EISDIR
 from math import isfinite
 from pathlib import Path
 
@@ -8,7 +12,7 @@ from rich.table import Table
 
 from particles_mpi import Scene
 from particles_mpi.errors import SceneError, StoppedError
-from particles_mpi.output.replacing import replace_text
+from particles_mpi.output.replacing import replace_text, temporary_of
 from particles_mpi.run.console import Screen
 from particles_mpi.run.scene_file import load
 from particles_mpi.scene.model import suggestion
@@ -178,12 +182,32 @@ def recommend_scene(
     scene = load(path)
     if target.resolve() == path.resolve():
         raise SceneError(f"--output {target}: is the scene file itself; choose another file")
+    benchmark.ranks.run_on_root(lambda: require_writable(target))
     found = recommend(benchmark, scene, tolerance, error, seconds)
     if found:
         report(benchmark.screen, found)
     benchmark.ranks.run_on_root(lambda: save(found, path, target) if found else None)
     benchmark.screen.say(f"written: {target}", whole=True)
     return found
+
+
+@contextmanager
+def cannot_be_written(target: Path) -> Iterator[None]:
+    """Raise SceneError in place of an OSError."""
+    try:
+        yield
+    except OSError as error:
+        raise SceneError(f"--output {target}: cannot be written ({error.strerror})") from None
+
+
+def require_writable(target: Path) -> None:
+    """Raise SceneError if the file cannot be written: that should be known before all is measured. On one rank."""
+    with cannot_be_written(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.is_dir():
+            raise IsADirectoryError(EISDIR, os.strerror(EISDIR))
+        temporary_of(target).touch()
+        temporary_of(target).unlink()
 
 
 def save(found: Recommendation, source: Path, target: Path) -> None:
@@ -194,8 +218,5 @@ def save(found: Recommendation, source: Path, target: Path) -> None:
         f"by study recommend: {found.search.described(found.best.errors)} (wanted: {found.tolerance:g}{until}), "
         f"about {found.best.timed.median:.2g} s on {ranks} rank(s)"
     )
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+    with cannot_be_written(target):
         replace_text(target, written(found.tables, source, target, remark))
-    except OSError as error:
-        raise SceneError(f"{target}: cannot be written ({error.strerror})") from None

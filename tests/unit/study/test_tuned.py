@@ -1,6 +1,8 @@
 """The tuned scene: the author's text with other settings, and the same particles."""
 
 import tomllib
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,8 +86,14 @@ def test_remarks_and_forms_of_the_author_stay(tmp_path):
     assert [line for line in path.read_text().splitlines() if line not in text] == ["time = {step = 0.1, end = 2.0} # short"]
 
 
-def test_a_scene_is_not_replaced_by_what_is_found_for_it(tmp_path):
+def test_where_nothing_may_be_written_nothing_is_measured(tmp_path):
+    """In no folder, in place of a folder, or of the scene itself."""
     path = tmp_path / "scene.toml"
     path.write_text(SCENE.replace('{file = "start.csv"}', "[[0.5, 0.25]]"))
+    module = import_module("particles_mpi.study.recommend.recommend")
+    for nowhere in (tmp_path, Path("/proc/none/tuned.toml")):
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(SceneError, match=r"^--output .*: cannot be written"):
+            patch.setattr(module, "recommend", lambda *_: pytest.fail("it was measured before"))
+            recommend_scene(path, 1e-3, output=nowhere)
     with pytest.raises(SceneError, match="is the scene file itself"):
         recommend_scene(path, 1e-3, output=tmp_path / ".." / tmp_path.name / "scene.toml")
