@@ -9,6 +9,7 @@ from matplotlib import pyplot as plt
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from run_files import finite, spaced
+from spheres import paint_spheres
 
 from particles_mpi import Run
 from particles_mpi.results.frame import Frame, one_number_each
@@ -227,8 +228,6 @@ class Picture:
         least = np.where(frame.radius > 0, SMALLEST, point)
         points = int(np.count_nonzero(seen & (frame.radius == 0)))
         small = int(np.count_nonzero(radius[seen] < SMALLEST)) - points
-        from spheres import paint_spheres  # here: where nothing compiled can be kept, the script ends with one line
-
         rgb = self.colors.to_rgba(self.value(frame))[:, :3]
         if not self.planar:
             half = np.linalg.norm(self.upper - self.lower) / 2

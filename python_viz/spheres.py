@@ -3,17 +3,26 @@
 Radii are exact, while a scatter plot only has marker sizes in points. The loop over pixels is compiled at the first use.
 """
 
+from collections.abc import Callable
 from math import floor, sqrt
 
 import numpy as np
-
-from particles_mpi.kernels.jit import kernel
+from numba import njit
 
 SAMPLES = 3  # an output pixel is the mean of SAMPLES x SAMPLES painted ones, which makes edges smooth
 LIGHT = np.array([-0.42, 0.55, 0.72])  # towards the lamp; x right, y up, z to the viewer
 LIGHT /= np.linalg.norm(LIGHT)
 HALFWAY = LIGHT + np.array([0, 0, 1])
 HALFWAY /= np.linalg.norm(HALFWAY)  # a surface facing this way mirrors the lamp into the eye
+
+
+def compiled(function: Callable[..., None]) -> Callable[..., None]:
+    """Compile a function, and keep it if there is a folder for that; else it is compiled anew in each start of a script."""
+    try:
+        kept: Callable[..., None] = njit(cache=True)(function)
+    except RuntimeError:
+        kept = njit(function)
+    return kept
 
 
 def paint_spheres(
@@ -34,7 +43,7 @@ def paint_spheres(
     return image
 
 
-@kernel
+@compiled
 def _find_nearest(nearest, sphere, center, radius, depth, thickness):  # type: ignore[no-untyped-def]
     """Find which sphere is seen at each sample, and at what distance."""
     high, wide = nearest.shape
@@ -49,7 +58,7 @@ def _find_nearest(nearest, sphere, center, radius, depth, thickness):  # type: i
                     sphere[row, column] = i
 
 
-@kernel
+@compiled
 def _shade(image, sphere, center, radius, rgb, outlined):  # type: ignore[no-untyped-def]
     """Return the mean colour of each pixel's samples: ambient and diffuse light, darker limb, small highlight (Blinn-Phong)."""
     for row in range(sphere.shape[0]):

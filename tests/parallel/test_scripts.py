@@ -101,7 +101,6 @@ def viz(module):
     """A module of python_viz."""
     sys.path.insert(0, str(ROOT / "python_viz"))
     try:
-        import_module("spheres")  # which a picture imports when it is painted
         return import_module(module)
     finally:
         sys.path.pop(0)
