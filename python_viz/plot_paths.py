@@ -141,9 +141,8 @@ def plot(axes: Axes, run: Run, span: float, title: str) -> None:
     length = run.periodic_length
     if d == 1:
         moments, places = paths_of(run[:], smooth, length)
-        for i in range(places.shape[1]):
-            path = inside(np.column_stack((moments, places[:, i])), np.append(0.0, lower), np.append(0.0, length))
-            axes.plot(path[:, 0], path[:, 1], lw=0.8)
+        over_time = np.stack((np.repeat(moments[:, None], places.shape[1], axis=1), places[:, :, 0]), axis=2)
+        plot_few(axes, over_time, np.append(0.0, lower), np.append(0.0, length))
     elif len(last.position) <= FEW:
         plot_few(axes, paths_of(run[:], smooth, length)[1], lower, length)
         if box:
