@@ -72,6 +72,8 @@ class Simulation(Saved):
     def steps_at_once(self, most: int, collisions: bool = True) -> None:
         """Advance by up to `most` steps where `ManySteps` computes them at once, otherwise by one. Collective."""
         self.take_changes()
+        if not collisions:
+            self.output_record.mark_rates("mixed", None)
         with self.stepping():
             done = self.many_steps.advance(self._h, self.steps_done, most) if self.many_steps and collisions else 0
             if not done:

@@ -32,26 +32,26 @@ COLUMNS = 3
 MANY_POINTS = 4000  # points: more are drawn as small as can be
 TITLE = 40  # letters in a line of a title
 PIECES = 8  # of a curve between two frames
-WELL_BELOW = 0.25  # times the square of another error: a candidate that is better, and not only by chance
+FIT = 1e-6  # of a distance: smaller errors are all the same
+MUCH_BETTER = 4.0  # times smaller is the square of an error
 PALER = 0.45  # times as strong are the colours when they are used again
 
 
 def durations(frames: list[Frame], moved: np.ndarray, velocity: np.ndarray, length: np.ndarray | float) -> np.ndarray:
     """Return the time from each frame to the next, (s - 1,), also where `sim.time` was set on the way.
 
-    That is what the times say, or the steps with their length before or after: what fits best how far the particles `moved`
-    (s - 1, n, d), but for times round a periodic box, at these mean velocities.
+    If steps were as long before as after an interval, but not in it, the clock was set, or the length of steps. Then it took so
+    many of these steps, unless its own times fit much better how far the particles `moved` (s - 1, n, d), but for times round a
+    periodic box, at these mean velocities.
     """
     times, steps = (np.diff([getattr(frame, name) for frame in frames]) for name in ("time", "step"))
     pace = times / np.maximum(steps, 1)
-    candidates = np.array([times, steps * np.insert(pace[:-1], 0, pace[0]), steps * np.append(pace[1:], pace[-1])])
-    left = moved - velocity * candidates[:, :, None, None]
+    before, after = np.insert(pace[:-1], 0, pace[0]), np.append(pace[1:], pace[-1])
+    usual = before * steps
+    left = moved - velocity * np.array([times, usual])[:, :, None, None]
     left -= np.rint(left / np.where(length, length, np.inf)) * length
-    wrong = np.nansum(left**2, axis=(2, 3))
-    wrong[candidates <= 0.0] = np.inf
-    best, number = wrong.argmin(axis=0), np.arange(len(times))
-    better = wrong[best, number] < WELL_BELOW * wrong[0]  # else both are the same but for round-off
-    return np.where(better, candidates[best, number], times)
+    own, other = np.nansum(left**2, axis=(2, 3)) + FIT**2 * np.nansum(moved**2, axis=(1, 2))
+    return np.where(np.isclose(before, after) & (other <= MUCH_BETTER * own) & (usual > 0.0), usual, times)
 
 
 def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:

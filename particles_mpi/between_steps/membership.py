@@ -36,7 +36,7 @@ class Membership(State):
         self.warnings += warnings
         added = self.ranks.total(len(rows) - len(self.rows))[0]
         if added:
-            self.output_record.mark_rates(self.steps_done, self.time, "mixed")
+            self.mark_rates("mixed")
         self.rows.replace(rows.arrays)
         self.particles.close()
         self.next_id += added
@@ -60,7 +60,7 @@ class Membership(State):
             for since in self.output_record.observed.values():
                 since.virial -= gone
         if len(named):
-            self.output_record.mark_rates(self.steps_done, self.time, "mixed")
+            self.mark_rates("mixed")
         self.rows.replace(self.rows.select(np.flatnonzero(~here)).arrays)
         self.particles.close()
         self.build()

@@ -109,6 +109,7 @@ class Saved(Membership):
             self.drift.past_work = {name: counts.get(name, 0) for name in WORK}
         self.calls.update({name: self.calls.get(name, 0) + calls for name, calls in past["calls"].items()})
         self.output_record.energies = Energies(**past.get("energies", {}))
+        self.output_record.energy_remarks = self.output_record.energies.remarks(self.active)
 
     def copy(self) -> Self:
         """Another simulation in the same state. Collective."""

@@ -47,10 +47,13 @@ class OutputRecord:
         self.energy_remarks: list[str] = []  # of the last run into a folder
         self.saved: tuple[Path, int, Any] | None = None  # folder, step and `identity_of` its last checkpoint
 
-    def mark_rates(self, step: int, time: float, mark: str) -> None:
-        """Remember a change after this step, at this time, `mixed` or `changed`, for rates of what was counted before it."""
+    def mark_rates(self, mark: str, moment: tuple[int, float] | None) -> None:
+        """Remember what concerns the rates of an interval, `mixed` or `changed`: a step, or a change between two of them.
+
+        moment: (steps done, time) of a change, which does not concern an interval that begins there; None for a step.
+        """
         for since in self.observed.values():
-            if (step, time) != (since.step, since.time):  # `step_to_collision` may end within a step
+            if moment != (since.step, since.time):  # of both: `step_to_collision` may end within a step
                 setattr(since, mark, True)
 
 
@@ -134,8 +137,10 @@ class State:
         self.drift = Drift(p, self.context, effects, self.persistent, self.sum_forces)
         if old_drift:
             self.drift.continue_counts(old_drift)
+            if bool(had.pairs) != bool(effects.pairs):
+                self.mark_rates("mixed")
             if had.elastic != effects.elastic:
-                self.output_record.mark_rates(self.steps_done, self.time, "changed")
+                self.mark_rates("changed")
         self.totals, self.calls = self.drift.totals, self.drift.calls
         self.near = self.drift.near
         done = old_accelerations.interactions if old_accelerations else 0
@@ -209,9 +214,13 @@ class State:
             if row >= 0:
                 raise StateError(f"particles.position: particle {p.id[row]} on rank {self.ranks.rank} was put beyond wall {wall}")
         if "fixed" in values:
-            self.output_record.mark_rates(self.steps_done, self.time, "mixed")
+            self.mark_rates("mixed")
         if "mass" in values or "radius" in values:
-            self.output_record.mark_rates(self.steps_done, self.time, "changed")
+            self.mark_rates("changed")
+
+    def mark_rates(self, mark: str) -> None:
+        """Remember that something was changed now, for the rates of an interval that began before."""
+        self.output_record.mark_rates(mark, (self.steps_done, self.time))
 
     @property
     def particles(self) -> ParticleView:

@@ -189,8 +189,9 @@ class Kick:
         if not self.flows:
             return None
         total = np.zeros_like(particles.velocity)
+        rows = to_read(particles, FIXED_IN_KICKS)
         for name, flow in self.flows.items():
-            rate = call_method(name, flow.rate, particles)
+            rate = call_method(name, flow.rate, rows)
             if np.shape(rate) != total.shape:
                 raise StoppedError(f"effects.{name}: its `rate` returned shape {np.shape(rate)}, and not {total.shape}")
             total += rate

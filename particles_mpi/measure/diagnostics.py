@@ -7,7 +7,7 @@ Observables of a gas of spheres: D axes, N movable particles, T in units of ener
 - packing: volume of all spheres over that of the box
 - collision_rate: Gamma = 2 C/(N t), collisions of a particle in unit time; free_time 1/Gamma, free_path <|v - V|>/Gamma; these
   and the following are nan where some are fixed, for a collision with these is not of two particles, and where
-  particles were added, removed, fixed or freed in that time
+  particles were added, removed, fixed or freed, or collisions were switched on or off, in that time
 - z_virial: p V/(N T) = 1 + sum(-r.dp)/(D N T t) over the collisions, r from partner to partner, dp the momentum it gives; T is
   that of the end of the interval
 - z_rate: 1 + sigma Gamma sqrt(pi m/T)/(2 D), for spheres of diameter sigma and mass m that were equal and elastic all that time
@@ -113,8 +113,8 @@ def column_names(dimension: int, observables: bool, gravity: bool, spins: bool) 
 class Since:
     """The moment since which rates are, and what was counted until then; `step`: how many steps were done.
 
-    `mixed`: were particles added, removed, fixed or freed after then? `changed`: were masses or radii, or whether collisions
-    take energy? A rank knows only what happened to its own particles.
+    `mixed`: were particles added, removed, fixed or freed after then, or collisions switched on or off? `changed`: were masses,
+    radii, or whether collisions take energy? A rank knows only what happened to its own particles.
     """
 
     time: float = 0.0

@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from math import isfinite
 from pathlib import Path
 from time import perf_counter
@@ -86,7 +87,7 @@ def announce_compiling(scene: Any) -> None:
         def on_start(self, _: Any) -> None:
             if not self.warned:
                 self.warned = True
-                print(told, flush=True)
+                SteadyConsole(highlight=False, markup=False, soft_wrap=True).print(told)
 
         def on_end(self, _: Any) -> None:
             pass
@@ -102,7 +103,9 @@ class SteadyConsole(Console):
             super().print(*objects, **options)
         except OSError as error:
             self.on_broken_pipe()
-            print(f"standard output cannot be written ({error.strerror}): nothing more is printed", file=sys.stderr, flush=True)
+            why = f"standard output cannot be written ({error.strerror}): nothing more is printed\n"
+            with suppress(OSError):  # it may go into the same file; nothing may be left in a buffer then
+                os.write(2, why.encode())
 
     def on_broken_pipe(self) -> None:
         self.quiet = True

@@ -329,9 +329,12 @@ def test_numbers_of_other_types_are_not_the_same_bits():
     assert same_bits(ones[:, None][:, :0], ones[:, None][:, :0]).all()
 
 
-@pytest.fixture(scope="module", params=[0.0, 1.2, 1000.0])
+@pytest.fixture(scope="module", params=[0.0, 1.2, 82.0, 1000.0])
 def with_time_set(tmp_path_factory, request):
-    """A run without collisions that goes over periodic faces; half way the user sets the time back, or forward."""
+    """A run without collisions that goes over periodic faces; half way the user sets the time back, or forward.
+
+    In a time of 80, from 2 to 82, all would have gone round the box a whole number of times.
+    """
     folder = tmp_path_factory.mktemp("set")
     pair = {"position": [[1, 1], [2, 2]], "velocity": [[0.5, 0.3], [0.0, 0.4]], "radius": 0.2}
     box, time = {"lower": [0, 0], "upper": [4, 4], "periodic": True}, {"step": 0.1, "steps": 40}

@@ -146,6 +146,12 @@ def make_larger(sim):
     sim.particles.radius *= 1.01
 
 
+def switch_collisions(sim):
+    sim.effects["collisions"].active = False
+    sim.step()
+    sim.effects["collisions"].active = True
+
+
 CHANGES = {
     "removed": (remove_half, None, RATES),
     "added": (add_some, None, RATES),
@@ -153,6 +159,8 @@ CHANGES = {
     "freed": (lambda sim: fix_some(sim, False), fix_some, RATES),
     "elastic": (make_elastic, None, {"z_rate"}),
     "larger": (make_larger, None, {"z_rate"}),
+    "switched off and on": (switch_collisions, None, RATES),
+    "a step through one another": (lambda sim: sim.step(collisions=False), None, RATES),
 }
 
 
@@ -176,6 +184,7 @@ def test_an_interval_in_which_something_else_collided_has_no_rates(name, look, t
         fix_some(sim), fix_some(sim, False)
     else:
         change(sim)
+    look &= sim.steps_done == 10  # else the interval has begun before the change
     sim.run(tmp_path, steps=sim.steps_done)
     sim.to_json(tmp_path / "s.json")
     for one in (sim.copy(), Simulation.from_json(tmp_path / "s.json"), Simulation.resume(tmp_path / "checkpoint.h5")):

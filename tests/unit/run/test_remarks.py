@@ -92,6 +92,8 @@ def test_a_run_that_is_continued_judges_the_energy_of_all_of_it(tmp_path):
         about = json.loads((tmp_path / folder / "run.json").read_text())
         told.append([remark.split(" to ")[0] for remark in about["remarks"] if remark.startswith("total energy: changed from ")])
     assert told[0] and told[2] == told[1] == told[0]
+    remarks = Simulation.resume(tmp_path / "p" / "checkpoint.h5").remarks()
+    assert [remark.split(" to ")[0] for remark in remarks] == told[0]
 
 
 WIND = """from particles_mpi.effects import EffectOptions, Force
