@@ -157,7 +157,8 @@ def mpi_io_errors() -> Iterator[None]:
     reason = MPI_IO_ERROR.search(said.decode(errors="replace")) if failure else None
     if reason:
         raise OSError(reason[1].strip()) from failure
-    os.write(2, said)
+    with suppress(OSError):  # stderr may be on a full disk
+        os.write(2, said)
     if failure:
         raise failure
 
