@@ -4,7 +4,7 @@ There is one panel per run. Up to 30 particles are drawn as paths that end in a 
 velocities at both ends, or a straight line if collisions or walls turn the particle; a path that leaves through a periodic face
 continues at the opposite face. More particles are drawn at their last positions, as spheres if they have radii, otherwise as
 points that are brighter where there are many. `--span` leaves out particles far from the middle. In one dimension all paths are
-drawn over time.
+drawn over time. Up to ten paths have their ids in a legend.
 
 example:
     python python_viz/plot_paths.py out/figure_eight out/solar_system --save gravity.png
@@ -21,13 +21,14 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 from picture import FINEST
-from run_files import PAINTS, finish, new_parser, parse, save_path, spaced, start, within
+from run_files import DASHES, PAINTS, finish, new_parser, parse, save_path, spaced, start, within
 from scipy.interpolate import CubicHermiteSpline
 
 from particles_mpi import Run
 from particles_mpi.results.frame import Frame
 
 FEW = 30
+NAMED = 10  # paths at most that a legend names
 COLUMNS = 3
 MANY_POINTS = 4000  # points: more are drawn as small as can be
 TITLE = 40  # letters in a line of a title
@@ -35,6 +36,11 @@ PIECES = 8  # of a curve between two frames
 FIT = 1e-6  # of a distance: smaller errors are all the same
 MUCH_BETTER = 4.0  # times smaller is the square of an error
 PALER = 0.45  # times as strong are the colours when they are used again
+
+
+def ids_of(frames: list[Frame]) -> np.ndarray:
+    """Return the ids of all particles of the run, in their order."""
+    return np.unique(np.concatenate([frame.id for frame in frames]))
 
 
 def durations(frames: list[Frame], moved: np.ndarray, velocity: np.ndarray, length: np.ndarray | float) -> np.ndarray:
@@ -60,7 +66,7 @@ def paths_of(frames: list[Frame], smooth: bool, length: np.ndarray | float = 0.0
     smooth: velocities never jump. length (d,): of the box on periodic axes, 0 on others. Between two frames a particle goes round
     the box in the way that fits its velocities best, or the shorter way if it may have collided.
     """
-    ids = np.unique(np.concatenate([frame.id for frame in frames]))
+    ids = ids_of(frames)
     times = np.array([frame.time for frame in frames])
     places = np.full((len(frames), len(ids), frames[0].position.shape[1]), np.nan)  # a gap where a particle was not there
     velocities = places.copy()
@@ -106,13 +112,22 @@ def inside(path: np.ndarray, lower: np.ndarray, length: np.ndarray) -> np.ndarra
     return np.insert(lines, 2 * gaps, np.nan, axis=0)
 
 
-def plot_few(axes: Axes, places: np.ndarray, lower: np.ndarray, length: np.ndarray) -> None:
+def style(i: int) -> tuple[np.ndarray, str]:
+    """Return the colour and the dash of path number i; 48 paths have one of their own each."""
+    turn = i // len(PAINTS)
+    paler = PALER if (turn + turn // 4) % 2 else 1.0
+    return 1.0 - (1.0 - np.array(to_rgb(PAINTS[i % len(PAINTS)]))) * paler, DASHES[turn % 4]
+
+
+def plot_few(axes: Axes, ids: np.ndarray, places: np.ndarray, lower: np.ndarray, length: np.ndarray) -> None:
     """Draw the path of each particle, and its position at the end."""
-    for i in range(places.shape[1]):
-        color = 1.0 - (1.0 - np.array(to_rgb(PAINTS[i % len(PAINTS)]))) * PALER ** (i // len(PAINTS))
+    for i, name in enumerate(ids):
+        color, dash = style(i)
         path = inside(places[:, i], lower, length)
-        axes.plot(path[:, 0], path[:, 1], "-", lw=0.8, color=color)
+        axes.plot(path[:, 0], path[:, 1], ls=dash, lw=0.8, color=color, label=str(name))
         axes.plot(*path[-1, :2], "o", ms=5, color=color)
+    if 1 < len(ids) <= NAMED:
+        axes.legend(title="id", fontsize=7, title_fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
 
 
 def plot_spheres(axes: Axes, position: np.ndarray, radius: np.ndarray) -> None:
@@ -140,11 +155,11 @@ def plot(axes: Axes, run: Run, span: float, title: str) -> None:
     lower = np.array(box["lower"] if box else [0.0] * d)
     length = run.periodic_length
     if d == 1:
-        moments, places = paths_of(run[:], smooth, length)
+        moments, places = paths_of(frames := run[:], smooth, length)
         over_time = np.stack((np.repeat(moments[:, None], places.shape[1], axis=1), places[:, :, 0]), axis=2)
-        plot_few(axes, over_time, np.append(0.0, lower), np.append(0.0, length))
+        plot_few(axes, ids_of(frames), over_time, np.append(0.0, lower), np.append(0.0, length))
     elif len(last.position) <= FEW:
-        plot_few(axes, paths_of(run[:], smooth, length)[1], lower, length)
+        plot_few(axes, ids_of(frames := run[:]), paths_of(frames, smooth, length)[1], lower, length)
         if box:
             (x, y), (right, top) = box["lower"][:2], box["upper"][:2]
             axes.add_patch(Rectangle((x, y), right - x, top - y, fill=False, ec="0.6", lw=0.8, zorder=0))

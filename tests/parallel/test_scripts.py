@@ -190,6 +190,24 @@ def test_points_beside_a_sphere_are_drawn(tmp_path):
     assert len(axes.lines[0].get_xdata()) == 60 and len(axes.collections[0].get_offsets()) == 1
 
 
+@pytest.mark.parametrize("d", [1, 2])
+def test_paths_can_be_told_apart_and_up_to_ten_have_their_ids_in_a_legend(tmp_path, d):
+    paths, drawn = viz("plot_paths"), {}
+    for count in (10, 30):
+        particles = [{"position": [[float(k)] * d for k in range(count)], "velocity": [1.0] * d}]
+        folder = tmp_path / str(count)
+        Simulation(Scene(dimension=d, time={"step": 0.1, "steps": 2}, particles=particles)).run(folder)
+        axes = plt.figure().add_subplot()
+        paths.plot(axes, Run(folder), 1.0, "title")
+        drawn[count] = axes
+        plt.close(axes.figure)
+        lines = [line for line in axes.lines if len(line.get_xdata()) > 1]
+        assert len({(*paths.to_rgb(line.get_color()), line.get_linestyle()) for line in lines}) == len(lines) == count
+        assert min(np.ptp([1.0, *paths.to_rgb(line.get_color())]) for line in lines) > 0.2  # none is nearly white
+    assert [text.get_text() for text in drawn[10].get_legend().get_texts()] == [str(k) for k in range(10)]
+    assert drawn[30].get_legend() is None
+
+
 def test_speeds_that_differ_by_round_off_have_one_colour(tmp_path):
     run = points_in_a_box(tmp_path)
     colors = viz("picture").Picture(run, run[:], "speed", (-60, 20), 50).colors
