@@ -24,6 +24,7 @@ MARGIN = 0.04  # of the extent of the marbles, around it, where the scene has no
 FINEST = 1e-13  # of the largest coordinate: less of it around the marbles could not be told from round-off
 LEAST_RANGE = 1e-3  # of the largest value: what differs by less has one colour, and not those of its round-off
 HAZE = 0.4  # share of white in the colour of the furthest marbles
+SIGNED = "coolwarm"  # the colour map of vectors of one component that have both signs; zero is in its middle
 WALLS, LINE = ("#f4f5f7", "#f8f9fa", "#e9ebef"), "#4a5260"
 SQUARE = np.array([(0, 0), (0, 1), (1, 1), (1, 0)])
 # what --color offers: the values, their label, the colour map, and the percentile of the values that gets its last colour
@@ -109,13 +110,14 @@ class Picture:
 
     def survey(self, frames: Iterable[Frame]) -> None:
         """Find the range of values, the extent of space and the largest radius over the frames."""
-        self.planar, self.largest = True, 0.0
+        self.planar, self.largest, signed = True, 0.0, False
         ranges = []
         self.lower, self.upper = np.full(3, np.inf), np.full(3, -np.inf)
         for frame in frames:
             values = self.value(frame)
-            if self.label in frame.fields and frame[self.label][:1].size > 1:
-                self.label = f"|{self.label}|"  # the length of a vector
+            if self.label in frame.fields and frame[self.label].ndim > 1:
+                signed = frame[self.label].shape[1:] == (1,)
+                self.label = self.label if signed else f"|{self.label}|"  # the length of a vector
             position = in_space(frame.position)
             good = np.isfinite(position).all(axis=1)
             if good.any():
@@ -126,12 +128,16 @@ class Picture:
                 self.upper = np.maximum(self.upper, (position + radius).max(axis=0))
             values = values[np.isfinite(values)]
             if len(values):
-                ranges.append((values.min(), np.percentile(values, self.top, method="higher"), values.max()))
-        low, high, highest = np.array(ranges or [(0, 1, 1)]).T
-        middle, half = 0.5 * (high.max() + low.min()), 0.5 * (high.max() - low.min())
-        half = max(half, 0.5 * LEAST_RANGE * max(abs(high.max()), abs(low.min())))
+                high, size = (np.percentile(x, self.top, method="higher") for x in (values, np.abs(values)))
+                ranges.append((-values.min(), high, values.max(), size))
+        below, high, highest, size = np.array(ranges or [(0, 1, 1, 1)]).max(axis=0)
+        low = lowest = -below
+        if signed and lowest < 0.0 < highest:
+            low, high, self.colormap = -size, size, SIGNED
+        middle, half = 0.5 * (high + low), 0.5 * (high - low)
+        half = max(half, 0.5 * LEAST_RANGE * max(abs(high), abs(low)))
         self.colors = ScalarMappable(Normalize(middle - half, middle + half), self.colormap)
-        self.extend = "max" if highest.max() > high.max() else "neither"
+        self.extend = ("neither", "max", "min", "both")[2 * (lowest < low) + (highest > high)]
 
     def make_figure(self, dpi: int) -> None:
         """Make a figure that fits the box, with room for the colour bar and the caption."""

@@ -50,7 +50,7 @@ class Frame:
 
     def __dir__(self) -> list[str]:
         """The fields too, for completion in a notebook."""
-        return [*super().__dir__(), *self.fields]
+        return [*super().__dir__(), *self.fields, "fixed"]
 
     @property
     def speed(self) -> Array:

@@ -126,14 +126,15 @@ def choose(counts: list[int], quantities: int, room: float, constant: int = 0) -
 def quantities(frame: Any) -> dict[str, Array]:
     """What is known of each particle as one number, (N,) each: id, fields, lengths of vectors; speed in place of velocity.
 
-    Vectors of one component, such as spins in the plane, have a sign.
+    Vectors of one component, such as spins in the plane, have a sign; lengths of others are called "|spin|".
     """
     found = {"id": frame.id}
     for name in frame.fields:
         if name in ("position", "id", "velocity"):
             continue
         values = frame[name] if name != "fixed" else frame[name].astype(float)
-        found[name] = values if values.ndim == 1 else one_number_each(values)
+        length = values.ndim > 1 and values.shape[1:] != (1,)
+        found[f"|{name}|" if length else name] = values if values.ndim == 1 else one_number_each(values)
     return found | {"speed": frame.speed}
 
 

@@ -114,6 +114,7 @@ def test_spins_in_the_plane_are_shown_with_their_sign(d, shown, label, tmp_path)
     Simulation(scene).run(tmp_path)
     drawn = viz("picture").Picture(Run(tmp_path), Run(tmp_path)[:], "spin", (0.0, 0.0), 100)
     assert drawn.value(Run(tmp_path)[0]) == pytest.approx(shown) and drawn.label == label
+    assert drawn.colors.get_clim() == pytest.approx((-3.0, 3.0) if d == 2 else (3.0, 21**0.5))
     plt.close(drawn.figure)
 
 

@@ -71,8 +71,10 @@ def test_fields_of_rough_spheres(tmp_path, d):
     assert data.spin.dims == ("time", "id", "axis" if d == 3 else "spin_component") and data.velocity.dims[-1] == "axis"
     assert data.orientation.dims[2:] == (("orientation_component",) if d == 3 else ())
     np.testing.assert_array_equal(data.spin[-1], frame.spin)
-    turning = page.quantities(frame)["spin"]  # as it is shown: with its sign in the plane
-    assert turning == pytest.approx([2.0, -3.0] if d == 2 else [21**0.5, 3.0]) and {"spin", "position"} <= set(dir(frame))
+    turning = page.quantities(frame)["spin" if d == 2 else "|spin|"]  # as it is shown: with its sign in the plane
+    assert turning == pytest.approx([2.0, -3.0] if d == 2 else [21**0.5, 3.0]) and {"spin", "position", "fixed"} <= set(
+        dir(frame)
+    )
 
 
 def test_a_file_that_is_open_is_read(tmp_path):
