@@ -129,6 +129,8 @@ def check(scene: SceneFile) -> None:
     stops = any("stops within" in error for error in found.errors)
     for line in (*(f"  {error}" for error in found.errors), "valid, but the run stops: see above" if stops else "valid"):
         screen.say(line)
+    if screen.console.unwritten:
+        raise typer.Exit(3)
 
 
 app.add_typer(study, name="study")

@@ -19,7 +19,7 @@ from particles_mpi.run.files import without_large_vtk
 from particles_mpi.run.job import Job
 from particles_mpi.scene.schema import Scene
 
-RUN_OPTIONS = "overwrite", "resumed", "steps", "wall_time"  # of `run`
+RUN_OPTIONS = "quiet", "overwrite", "resumed", "steps", "wall_time"  # of `run`
 
 
 class Simulation(Saved):
@@ -152,9 +152,9 @@ class Simulation(Saved):
         deletes what an earlier run left there; `resumed=True` continues the run in that folder, of which this is the state;
         `steps` is the number of the last step; after `wall_time` seconds the run writes a checkpoint and stops.
         """
+        if unknown := options.keys() - RUN_OPTIONS:
+            raise TypeError(f"run: {', '.join(sorted(unknown))}: not one of its options, {', '.join(RUN_OPTIONS)}")
         if output is not None:
-            if unknown := options.keys() - RUN_OPTIONS:
-                raise TypeError(f"run: {', '.join(sorted(unknown))}: not one of its options, {', '.join(RUN_OPTIONS)}")
             Job(self, Path(output), quiet=quiet, **options).run()
         elif options:
             raise TypeError(f"run: {', '.join(options)}: only with a folder for output")

@@ -26,6 +26,8 @@ class GifWriter(PillowWriter):
     """Writes all frames with one palette, from the first, middle and last frame: one for each would take half of the time."""
 
     def finish(self) -> None:
+        if not self._frames:  # an error, which is on its way
+            return
         frames = [frame.convert("RGB") for frame in self._frames]
         shown = [frames[0], frames[len(frames) // 2], frames[-1]]
         palette = Image.fromarray(np.vstack([np.asarray(frame) for frame in shown])).quantize()

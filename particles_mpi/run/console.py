@@ -98,10 +98,13 @@ def announce_compiling(scene: Any) -> None:
 class SteadyConsole(Console):
     """A console that stops printing where its output is no longer read, as behind `| head`, or has no room; the run goes on."""
 
+    unwritten = False  # is there something that had no room?
+
     def print(self, *objects: Any, **options: Any) -> None:
         try:
             super().print(*objects, **options)
         except OSError as error:
+            self.unwritten = True
             self.on_broken_pipe()
             why = f"standard output cannot be written ({error.strerror}): nothing more is printed\n"
             with suppress(OSError):  # it may go into the same file; nothing may be left in a buffer then

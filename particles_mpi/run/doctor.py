@@ -188,8 +188,9 @@ def main(is_root: bool, size: int) -> int:
     table = Table("", "", "found", "what to do", title="particles_mpi doctor", title_justify="left", box=None, padding=(0, 1))
     for what, (found, advice) in rows:
         table.add_row("[red]NO[/]" if advice else "[green]ok[/]", what, found, advice)
-    Screen(is_root, quiet=False).table(table)
-    return int(any(advice for _, (_, advice) in rows))
+    screen = Screen(is_root, quiet=False)
+    screen.table(table)
+    return int(screen.console.unwritten or any(advice for _, (_, advice) in rows))
 
 
 if __name__ == "__main__":  # for run.sh: what two ranks see, as JSON

@@ -177,6 +177,11 @@ def test_a_log_on_a_full_disk_stops_nothing_else(scene, tmp_path):
         with open("/dev/full", "w") as full:
             done = subprocess.run(command, env=environment(), stdout=full, stderr=errors, text=True, timeout=100)
         assert (done.returncode, done.stderr) == (0, told) and Run(tmp_path / "o").ended
+    with open("/dev/full", "w") as full:  # of these nothing else is left
+        for words, code in ((["check", scene], 3), (["doctor"], 1)):
+            command = [sys.executable, "-m", "particles_mpi", *words]
+            done = subprocess.run(command, env=environment(), stdout=full, stderr=subprocess.PIPE, text=True, timeout=100)
+            assert (done.returncode, done.stderr) == (code, why)
 
 
 @pytest.mark.parametrize(

@@ -146,6 +146,10 @@ def make_larger(sim):
     sim.particles.radius *= 1.01
 
 
+def make_heavier(sim):
+    sim.particles.mass *= 2.0
+
+
 def switch_collisions(sim):
     sim.effects["collisions"].active = False
     sim.step()
@@ -159,6 +163,7 @@ CHANGES = {
     "freed": (lambda sim: fix_some(sim, False), fix_some, RATES),
     "elastic": (make_elastic, None, {"z_rate"}),
     "larger": (make_larger, None, {"z_rate"}),
+    "heavier": (make_heavier, None, {"z_rate"}),
     "switched off and on": (switch_collisions, None, RATES),
     "a step through one another": (lambda sim: sim.step(collisions=False), None, RATES),
 }

@@ -73,7 +73,7 @@ def test_fields_of_rough_spheres(tmp_path, d):
     np.testing.assert_array_equal(data.spin[-1], frame.spin)
     turning = page.quantities(frame)["spin" if d == 2 else "|spin|"]  # as it is shown: with its sign in the plane
     assert turning == pytest.approx([2.0, -3.0] if d == 2 else [21**0.5, 3.0]) and {"spin", "position", "fixed"} <= set(
-        dir(frame)
+        dir(Run(folder)[0])
     )
 
 

@@ -28,8 +28,9 @@ def test_options_that_are_no_numbers_are_refused_and_nothing_is_written(option, 
 
 
 def test_an_option_that_there_is_not_is_named_with_those_that_there_are(tmp_path):
-    with pytest.raises(TypeError, match="run: every: not one of its options, overwrite, resumed, steps, wall_time"):
-        simulation().run(tmp_path / "o", every=2)
+    for folder in (tmp_path / "o", None):
+        with pytest.raises(TypeError, match="run: every: not one of its options, quiet, overwrite, resumed, steps, wall_time"):
+            simulation().run(folder, every=2)
     assert not (tmp_path / "o").exists()
 
 
